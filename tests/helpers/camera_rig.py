@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rendered_images import CameraSettings, RenderedCamera
+from rendered_images import CameraSettings, RenderedCamera, axes_of
 
 from worm_driver.tracking.camera_model import CameraModel
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
@@ -26,14 +26,7 @@ PITCH = 0.0173
 def looking_at(settings: CameraSettings, place: tuple[float, float, float]) -> CameraSettings:
     """Return a camera whose image width shows 0.6 m of the pipe around a point."""
     distance = 0.6 * settings.focal / settings.width / math.cos(settings.yaw)
-    forward = np.array(
-        [
-            -math.sin(settings.yaw) * math.cos(settings.pitch_angle),
-            math.cos(settings.yaw) * math.cos(settings.pitch_angle),
-            math.sin(settings.pitch_angle),
-        ]
-    )
-    x, y, z = np.array(place) - distance * forward
+    x, y, z = np.array(place) - distance * axes_of(settings)[2]
     return replace(settings, position=(float(x), float(y), float(z)))
 
 
@@ -106,13 +99,7 @@ class PaperCamera:
     def pixels(self, points: Array) -> Array:
         """Return the pixels, shape (n, 2), of points in the pipe's frame, shape (n, 3), m."""
         s = self.settings
-        cy, sy, cp, sp = (f(a) for a in (s.yaw, s.pitch_angle) for f in (math.cos, math.sin))
-        forward = np.array([-sy * cp, cy * cp, sp])
-        level = np.array([cy, sy, 0.0])
-        down = np.cross(forward, level)
-        right = math.cos(s.roll) * level + math.sin(s.roll) * down
-        axes = np.array([right, np.cross(forward, right), forward])
-        seen = (points - np.array(s.position)) @ axes.T
+        seen = (points - np.array(s.position)) @ axes_of(s).T
         x, y = (seen[:, :2] / seen[:, 2:]).T
         k1, k2, p1, p2, k3 = s.distortion
         r2 = x * x + y * y

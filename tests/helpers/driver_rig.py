@@ -142,6 +142,24 @@ class SimulatedPort(BusPort):
         self.is_open = False
 
 
+class Line:
+    """Bus with the servos of the installed virtual robot, on a clock of its own."""
+
+    def __init__(self) -> None:
+        self.clock = Clock()
+        self.robot = VirtualRobot(installed_robot())
+        self.wire = Wire(self.clock, self._answer)
+        self.port = SimulatedPort(self.wire, self.clock)
+        self.bus = ServoBus(self.port)
+
+    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        return [(t.time, t.data) for t in self.robot.receive(data, now)]
+
+    def inject(self, name: str, **arguments: object) -> None:
+        """Inject a fault of the virtual robot now."""
+        self.robot.board.add(make_fault(name, **arguments).delayed(self.clock.now))
+
+
 class DirectSMBus:
     """The two smbus2 calls that the driver uses, on the virtual robot's power sensor."""
 
@@ -316,6 +334,16 @@ class Rig:
         return self.virtual.servos[0]
 
     @property
+    def torques(self) -> list[int]:
+        """The torque (1 on, 0 off) of each virtual servo."""
+        return [servo.memory["torque_enable"] for servo in self.virtual.servos]
+
+    @property
+    def contraction(self) -> float:
+        """Largest contraction (m) of a cable, by the shafts, which no fault of the bus affects."""
+        return max(-length for length in shaft_lengths(self))
+
+    @property
     def cable_speed(self) -> float:
         """Highest speed (m/s) at which a servo moves its cable, without the yield of its loaded shaft."""
         cables = self.virtual.servos[: len(self.settings.spools)]
@@ -364,13 +392,13 @@ class Rig:
         gait = Gait(stroke, frequency, direction, **waveform)
         return self.robot.start(self.clock.now, gait, cycles)
 
-    def run_into_motion(self) -> None:
-        """Start a gait and wait for its full speed."""
-        self.activate()
-        self.start()
-        self.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
-        self.run(0.6)
-        assert self.cable_speed > 0.05
+    def play(self, *gait: float, **waveform: float) -> "Rig":
+        """Start a run as `start` does, with the torque on, and return the rig when its gait begins."""
+        if not self.robot.active:
+            self.activate()
+        self.start(*gait, **waveform)
+        self.run(12.0, until=lambda s: s.player.phase is Phase.RUNNING)
+        return self
 
     def inject(self, name: str, **arguments: object) -> None:
         """Inject a fault of the virtual robot now."""
@@ -420,8 +448,9 @@ def _idle() -> Rig:
 
 @cache
 def _moving() -> Rig:
-    rig = Rig()
-    rig.run_into_motion()
+    rig = Rig().play()
+    rig.run(0.6)
+    assert rig.cable_speed > 0.05
     return rig
 
 

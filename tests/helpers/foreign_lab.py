@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from foreign_robot import Camera, ForeignRobot, crawl
+from lab_files import write_logs, write_table
 
 from worm_model.gait import Gait
-from worm_model.run import Run
 
 # Gaits and cycles that pass five ridges
 PLAN = (
@@ -27,8 +27,6 @@ PLAN = (
     (Gait(0.09, 0.15), 4),
 )
 USUAL_CAMERA = Camera()
-SPOOL_M = 0.012
-TICKS = 4096  # per turn
 FORCE_NOISE_N = 0.15
 BELLOWS_HYSTERESIS_N = 0.4
 
@@ -44,7 +42,7 @@ def write_foreign_lab(
     gaits = {}
     for number, (gait, cycles) in enumerate(plan, 1):
         name = f"run_{number:02}"
-        _write_run(folder / name, crawl(robot, gait, cycles, camera, number).run)
+        write_logs(folder / name, crawl(robot, gait, cycles, camera, number).run)
         gaits[name] = {"stroke_m": gait.stroke, "frequency_Hz": gait.frequency}
     (folder / "runs.json").write_text(json.dumps(gaits))
     random = np.random.default_rng([robot.pipe, 13])
@@ -58,24 +56,6 @@ def write_foreign_lab(
     return folder
 
 
-def _write_run(folder: Path, run: Run) -> None:
-    folder.mkdir()
-
-    def time(stamp: np.ndarray) -> np.ndarray:
-        return (stamp - run.origin) * 1e-9
-
-    tracker, power, command = run.tracker, run.power, run.commanded
-    ticks = np.rint(-command.length_change / (2.0 * np.pi * SPOOL_M) * TICKS)
-    current = power.power / power.bus_voltage
-    for name, head, columns in (
-        ("camera", "time_s,x1_m,x2_m", (tracker.rear_position, tracker.front_position)),
-        ("power", "time_s,bus_voltage_V,current_A", (power.bus_voltage, current)),
-        ("servo", "time_s,goal_ticks", (ticks,)),
-    ):
-        stamp = {"camera": tracker.stamp, "power": power.stamp, "servo": command.stamp}[name]
-        _write(folder / f"{name}.csv", head, time(stamp), *columns)
-
-
 def _write_bench_tests(folder: Path, robot: ForeignRobot, random: np.random.Generator) -> None:
     """Write both tests, each up and down again, with hysteresis and noise."""
     up = np.linspace(0.0, 0.07, 18)
@@ -83,21 +63,13 @@ def _write_bench_tests(folder: Path, robot: ForeignRobot, random: np.random.Gene
     way = np.repeat([0.5, -0.5], up.size)
     force = robot.bellows_stiffness * compression + BELLOWS_HYSTERESIS_N * way
     noise = random.normal(0.0, FORCE_NOISE_N, (2, 96))
-    _write(folder / "bellows.csv", "compression_m,force_N", compression, force + noise[0, :36])
+    write_table(folder / "bellows.csv", "compression_m,force_N", compression, force + noise[0, :36])
     out = np.linspace(-0.012, 0.012, 48)
     x = np.concatenate([out, out[::-1]])
     half = 0.5 * robot.clearance
     force = robot.engaged_stiffness * np.minimum(x + half, 0.0)
     force += robot.disengaged_stiffness * np.maximum(x - half, 0.0)
     way = np.repeat([0.5, -0.5], out.size) * (np.abs(x) > half)
-    _write(
-        folder / "fin.csv",
-        "displacement_m,force_N",
-        x,
-        force + robot.hysteresis_N * way + noise[1],
+    write_table(
+        folder / "fin.csv", "displacement_m,force_N", x, force + robot.hysteresis_N * way + noise[1]
     )
-
-
-def _write(path: Path, head: str, *columns: np.ndarray) -> None:
-    table = np.column_stack(columns)
-    np.savetxt(path, table, header=head, comments="", delimiter=",", fmt="%.9g")

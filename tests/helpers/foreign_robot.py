@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from recorded_run import power_samples
 
 from worm_model.gait import Gait
-from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
 
 STEP_S = 1e-4
 REST_S, AFTER_S = 2.0, 1.0
@@ -253,13 +254,7 @@ def _recording(
         commanded=LengthSamples(stamps(commands), resting + goal, goal),
         measured=LengthSamples(stamps(frames), length, length - resting),
         tracker=TrackerSamples(stamps(frames), rear, front),
-        power=PowerSamples(
-            stamps(readings),
-            np.zeros(watts.size, np.int64),
-            0.0 * watts + 12.0,
-            watts / 12.0,
-            watts,
-        ),
+        power=power_samples(stamps(readings), watts),
         gait_state=GaitStates.of(
             gait,
             stamps(starts),

@@ -27,10 +27,14 @@ NAMESPACE = "/worm"
 TIMEOUT_S = 100.0  # long, as only a failing test waits so long
 RETRY_S = 1.0
 LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
+
+
+def ros_arguments(namespace: str = NAMESPACE, **parameters: object) -> list[str]:
+    """Return the arguments of an executable in a namespace, with ROS parameters."""
+    values = (word for key, value in parameters.items() for word in ("-p", f"{key}:={value}"))
+    return ["--ros-args", "-r", f"__ns:={namespace}", *values]
 
 
 class Processes(ProcessGroup):
@@ -48,10 +52,7 @@ class Processes(ProcessGroup):
         self, package: str, executable: str, *arguments: str, **parameters: object
     ) -> Process:
         """Start an executable in the worm's namespace, with ROS parameters."""
-        ros = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
-        for key, value in parameters.items():
-            ros += ["-p", f"{key}:={value}"]
-        return self.start_executable(package, executable, *arguments, *ros)
+        return self.start_executable(package, executable, *arguments, *ros_arguments(**parameters))
 
 
 class Probe:

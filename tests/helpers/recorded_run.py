@@ -42,11 +42,15 @@ def simulated_run(cycles: int = 2, seed: int = 0) -> Run:
         commanded=LengthSamples(_stamp(fast), INITIAL_LENGTH + command, command),
         measured=LengthSamples(_stamp(slow)[seen], length, length - INITIAL_LENGTH),
         tracker=TrackerSamples(_stamp(slow), x1, x2),
-        power=PowerSamples(
-            _stamp(fast), np.zeros(fast.size, np.int64), 0.0 * fast + 12.0, power / 12.0, power
-        ),
+        power=power_samples(_stamp(fast), power),
         gait_state=_gait_states(cycles, end),
     )
+
+
+def power_samples(stamp: np.ndarray, power: np.ndarray) -> PowerSamples:
+    """Return valid samples of a power in W at 12 V."""
+    volts = np.full(power.size, 12.0)
+    return PowerSamples(stamp, np.zeros(power.size, np.int64), volts, power / volts, power)
 
 
 def _stamp(time: np.ndarray) -> np.ndarray:

@@ -5,12 +5,12 @@ import dataclasses
 import itertools
 
 import numpy as np
-from recorded_run import EPOCH, GAIT, IDLE, INITIAL_LENGTH, RESTING, RUNNING
+from recorded_run import EPOCH, GAIT, IDLE, INITIAL_LENGTH, RESTING, RUNNING, power_samples
 
 from worm_driver.virtual_robot.plant import Plant, PlantEffects, make_grooves
 from worm_model.gait import FORWARD
 from worm_model.parameters import PAPER
-from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
 from worm_msgs.robot_parameters import RobotParameters
 
 STEP_S, REST_S, PAUSE_S = 1e-3, 2.0, 6.0
@@ -38,9 +38,7 @@ def joined_session() -> Run:
         commanded=LengthSamples(stamp[::20], INITIAL_LENGTH + command[::20], command[::20]),
         measured=LengthSamples(stamp[::33], x2 - x1, x2 - x1 - INITIAL_LENGTH),
         tracker=TrackerSamples(stamp[::33], x1, x2),
-        power=PowerSamples(
-            stamp[::20], np.zeros(power.size, np.int64), 12.0 + 0 * power, power / 12.0, power
-        ),
+        power=power_samples(stamp[::20], power),
         gait_state=GaitStates.of(
             GAIT,
             EPOCH + np.rint(1e9 * np.array(times)).astype(np.int64),

@@ -106,6 +106,15 @@ class CameraSettings:
     )
 
 
+def axes_of(settings: CameraSettings) -> Array:
+    """Return the optical axes (right, down, forward) in the pipe's frame as rows."""
+    yaw, pitch, roll = settings.yaw, settings.pitch_angle, settings.roll
+    forward = np.array([-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
+    level = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    right = np.cos(roll) * level + np.sin(roll) * np.cross(forward, level)
+    return np.array([right, np.cross(forward, right), forward])
+
+
 class Pattern:
     """Print of rectangular cells. In its plane, the centre is (0, 0), u points right and v up, m."""
 
@@ -221,18 +230,7 @@ class RenderedCamera:
             radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
             x = (bent_x - 2.0 * p1 * x * y - p2 * (r2 + 2.0 * x * x)) / radial
             y = (bent_y - p1 * (r2 + 2.0 * y * y) - 2.0 * p2 * x * y) / radial
-        return np.stack([x, y, np.ones_like(x)], axis=2) @ self._orientation()
-
-    def _orientation(self) -> Array:
-        """Return the optical axes (right, down, forward) in the pipe's frame as rows."""
-        s = self.settings
-        forward = np.array([
-            -np.sin(s.yaw) * np.cos(s.pitch_angle), np.cos(s.yaw) * np.cos(s.pitch_angle), np.sin(s.pitch_angle),
-        ])  # fmt: skip
-        level = np.array([np.cos(s.yaw), np.sin(s.yaw), 0.0])
-        down = np.cross(forward, level)
-        right = np.cos(s.roll) * level + np.sin(s.roll) * down
-        return np.array([right, np.cross(forward, right), forward])
+        return np.stack([x, y, np.ones_like(x)], axis=2) @ axes_of(self.settings)
 
     def _plane(self, y: float, window: Window) -> tuple[Array, Array]:
         """Return x and z (m) of the point of the plane at y (m) that each pixel of a window shows."""
@@ -242,7 +240,7 @@ class RenderedCamera:
 
     def _window(self, centre: tuple[float, float, float], half: tuple[float, float]) -> Window:
         """Return the pixels that can contain a rectangle with a centre (x, y, z) and half sizes along x and z, m."""
-        s, axes, (x, y, z) = self.settings, self._orientation(), centre
+        s, axes, (x, y, z) = self.settings, axes_of(self.settings), centre
         corners = np.array(
             [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
         )

@@ -24,6 +24,13 @@ from worm_model.twin.data.records import Event, residual_message
 from worm_model.twin.data.samples import GAIT_VALUES, SAMPLE, VALUES, SampleKind
 from worm_model.twin.twin import Twin, TwinState
 
+ONSET = 1_700_000_000_000_000_000  # stamp of the onset of a test's first run, ns
+
+
+def at(time: float) -> int:
+    """Return the stamp of a time in s after the onset."""
+    return ONSET + round(time * 1e9)
+
 
 @dataclass(frozen=True)
 class CommandedLength:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from recorded_run import power_samples
 
 from worm_driver.virtual_robot.offline_run import Rehearsal, run_offline
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
@@ -19,7 +20,7 @@ from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.inputs import BenchTest, Inputs
 from worm_model.identification.reference_values import READING, ReferenceValues
 from worm_model.parameters import PAPER, Parameters
-from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
 from worm_model.simulation.simulator import simulate
 
 # Gaits and durations (s) that pass five ridges, as in a usual campaign
@@ -138,13 +139,7 @@ def make_run(
         origin=epoch,
         commanded=LengthSamples(stamp(command[0]), initial + command[1], np.asarray(command[1])),
         tracker=TrackerSamples(stamp(camera[0]), np.asarray(camera[1]), np.asarray(camera[2])),
-        power=PowerSamples(
-            stamp(power[0]),
-            np.zeros(len(power[0]), np.int64),
-            np.full(len(power[0]), 12.0),
-            np.asarray(power[1]) / 12.0,
-            np.asarray(power[1]),
-        ),
+        power=power_samples(stamp(power[0]), np.asarray(power[1])),
         gait_state=GaitStates.of(
             gait,
             stamp(np.array([0.0, onset])),

@@ -21,7 +21,6 @@ from worm_driver.servos.registers import (
     EXTENDED_POSITION_MODE,
     MODELS,
     POSITION_MODE,
-    TICKS_PER_TURN,
     Register,
     ServoModel,
     hardware_error_text,
@@ -50,7 +49,8 @@ _CHECKED = {
     "pwm_limit": (885, "a lower value makes the servo slow and weak"),
     "shutdown": (52, "the servo protects itself at the factory value"),
 }
-#: Factory values of the limits of the supply.
+#: Factory values of the limits of a position, ticks, and of the limits of the supply.
+_POSITIONS = {"min_position_limit": 0, "max_position_limit": 4095, "homing_offset": 0}
 _VOLTAGES = {"min_voltage_limit": 95, "max_voltage_limit": 160}
 #: Registers of the EEPROM, written while the torque is off: a restarted servo then has no torque.
 _EEPROM = {"return_delay_time": 0, "drive_mode": 0, "startup_configuration": 0}
@@ -160,10 +160,9 @@ def _protections(model: ServoModel) -> dict[str, int]:
 
 def new_limits(model: ServoModel) -> Mapping[str, int]:
     """Return the limits and protections of a new servo that suits every robot, raw EEPROM values by name."""
-    ticks = {"min_position_limit": 0, "max_position_limit": TICKS_PER_TURN - 1, "homing_offset": 0}
     current = {"current_limit": model.current_limit} if model.measures_current else {}
     speed = {"velocity_limit": model.factory["velocity_limit"]}
-    return {**ticks, **current, **speed, **_required(model, _VOLTAGES), **_protections(model)}
+    return {**_POSITIONS, **current, **speed, **_required(model, _VOLTAGES), **_protections(model)}
 
 
 def left_over(bus: ServoBus, servo: Servo, limit: float) -> str:

@@ -32,27 +32,20 @@ def images(tmp_path_factory) -> Path:
     return folder
 
 
+def tracked(*options: object) -> int:
+    """Return the exit status of track with the installed setup."""
+    return track.main(["--setup", str(SETUP_FILE), *map(str, options)])
+
+
 def complaint(capsys) -> str:
     """Return the only line on standard error."""
     (line,) = capsys.readouterr().err.splitlines()
     return line
 
 
-# --- track ----------------------------------------------------------------------------------------
-
-
 def test_track_writes_the_table(images, tmp_path, capsys):
     output = tmp_path / "out.csv"
-    arguments = [
-        "--images",
-        str(images),
-        "--setup",
-        str(SETUP_FILE),
-        "--output",
-        str(output),
-        "--json",
-    ]
-    assert track.main(arguments) == 0
+    assert tracked("--images", images, "--output", output, "--json") == 0
     rows = list(csv.DictReader(output.open()))
     columns = ["time_s", "rear_position_m", "front_position_m", "length_m", "reason"]
     assert list(rows[0]) == columns
@@ -69,10 +62,7 @@ def test_track_writes_the_table(images, tmp_path, capsys):
 
 def test_track_shows_what_it_found(images, tmp_path, capsys):
     picture = tmp_path / "preview.png"
-    assert (
-        track.main(["--images", str(images), "--setup", str(SETUP_FILE), "--preview", str(picture)])
-        == 0
-    )
+    assert tracked("--images", images, "--preview", picture) == 0
     assert read_image(picture).shape == (720, 1280)
     plain = read_image(images / "0.png").astype(int)
     assert (np.abs(read_image(picture).astype(int) - plain) > 60).sum() > 2000
@@ -89,10 +79,7 @@ def test_a_film_gives_what_its_images_give(images, tmp_path):
         writer.write(cv2.imread(str(images / f"{index}.png")))
     writer.release()
     output = tmp_path / "out.csv"
-    assert (
-        track.main(["--video", str(video), "--setup", str(SETUP_FILE), "--output", str(output)])
-        == 0
-    )
+    assert tracked("--video", video, "--output", output) == 0
     rows = list(csv.DictReader(output.open()))
     assert [float(row["time_s"]) for row in rows] == pytest.approx([0.0, 0.1, 0.2])
     assert float(rows[1]["rear_position_m"]) == pytest.approx(0.005, abs=3e-4)
@@ -119,9 +106,6 @@ def test_track_rejects_bad_input_in_one_line(images, tmp_path, capsys, arguments
     assert status == 2
     assert message in complaint(capsys)
     assert not (tmp_path / "out.csv").exists() or (tmp_path / "out.csv").stat().st_size < 100
-
-
-# --- markers --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("paper", "size"), [("a4", (210.0, 297.0)), ("letter", (215.9, 279.4))])
@@ -164,9 +148,6 @@ def test_a_marker_that_does_not_fit_on_the_paper_is_rejected(tmp_path, capsys):
     assert markers.main(["--setup", str(large), "--output", str(tmp_path / "m.pdf")]) == 2
     assert "does not fit on the paper" in complaint(capsys)
     assert not (tmp_path / "m.pdf").exists()
-
-
-# --- calibrate_camera -----------------------------------------------------------------------------
 
 
 def board_image(settings: CameraSettings) -> np.ndarray:

@@ -141,10 +141,7 @@ def test_samples_that_drift_become_a_fault_and_move_nothing(ticks_per_cycle):
 @pytest.mark.parametrize("ticks_per_cycle", [-100, 30])
 def test_samples_that_drift_during_a_gait_do_not_move_the_hold(ticks_per_cycle, seconds):
     """A gait pulls with more than half of the limit: that alone does not support a measurement."""
-    rig = Rig()
-    rig.activate()
-    rig.start()
-    rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig = idle().play()
     rig.run(seconds)
     for step in range(100):
         rig.virtual.board.clear()
@@ -244,19 +241,12 @@ def test_a_wrong_sample_while_homing_does_not_move_the_home(number, jump):
 # --- several cable servos -------------------------------------------------------------------------
 
 
-def two_cables() -> Rig:
-    rig = two_spools(player=PlayerSettings(rest_duration=0.2, settle_time=0.1))
-    rig.activate()
-    rig.start(0.05, 0.4, cycles=3)
-    rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
-    rig.run(0.6)
-    return rig
-
-
 @pytest.mark.parametrize("servo", [1, 2])
 @pytest.mark.parametrize("jump", [-600, 4096])
 def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
-    rig = two_cables()
+    rig = two_spools(player=PlayerSettings(rest_duration=0.2, settle_time=0.1))
+    rig.play(0.05, 0.4, cycles=3)
+    rig.run(0.6)
     rig.inject("wrong_position", target=servo, value=jump, duration=1e6)
     here = [s.shaft.position for s in rig.virtual.servos]
     rig.run(1.0)
@@ -282,8 +272,7 @@ def test_a_stop_right_after_an_activation_holds_where_the_servo_was_enabled():
 
 
 def flipping() -> Rig:
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     rig.start(0.05, 0.4, cycles=1, direction=-1)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FLIPPING)
     rig.run(0.15)
@@ -313,18 +302,14 @@ def test_after_a_stop_during_a_flip_the_next_gait_sets_the_fins_at_rest():
     rig = flipping()
     rig.robot.stop(rig.clock.now, "stop")
     rig.run(0.5)
-    rig.start(0.03, 0.4, cycles=1, direction=-1)
-    rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.play(0.03, 0.4, cycles=1, direction=-1)
     for servo in rig.virtual.servos[1:]:
         assert servo.motor_angle == pytest.approx(3.927, abs=0.07)
 
 
 @pytest.mark.parametrize("ticks_per_cycle", [-60, 3, 60])
 def test_a_fin_that_stands_keeps_its_goal_at_a_stop_whatever_its_samples_are(ticks_per_cycle):
-    rig = Rig()
-    rig.activate()
-    rig.start(0.05, 0.3)
-    rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig = idle().play(0.05, 0.3)
     here = fin_positions(rig)
     for step in range(25):
         rig.virtual.board.clear()

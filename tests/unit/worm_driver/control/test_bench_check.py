@@ -82,7 +82,7 @@ FAILED, WARNING = State.FAILED, State.WARNING
         (left(11, status_return_level=1), "registers", WARNING, "status_return_level 1", "driver"),
         (left(11, status_return_level=0), "registers", WARNING, "servo 11 ", "configure"),
         (left(1, torque_enable=1, led=0), "torque", FAILED, "servo 1", "program that switched it on"),
-        (left(12, torque_enable=1), "torque", WARNING, "servo 12", "program"),
+        (left(12, torque_enable=1), "torque", WARNING, "torque of 12 ", "program"),
     ],
 )  # fmt: skip
 def test_a_fault_turns_one_row_and_nothing_is_written(change, name, state, found, remedy):

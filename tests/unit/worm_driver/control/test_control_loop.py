@@ -7,13 +7,12 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from waiting import TIMEOUT_S, wait_for
 
 from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop, PowerLoop
 from worm_driver.driver_errors import DriverError, PowerSensorError, RejectedError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
-
-TIMEOUT_S = 10.0  # s, only a failing test waits so long
 
 
 class NotingRobot:
@@ -57,13 +56,6 @@ class NotingRobot:
         return ["a servo kept silent"]
 
 
-def wait_for(condition) -> None:
-    end = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.001)
-
-
 @pytest.fixture
 def robot() -> NotingRobot:
     return NotingRobot()
@@ -90,14 +82,12 @@ def test_every_cycle_is_handed_over_in_order_and_one_thread_owns_the_robot(robot
     assert robot.threads == {"servo_bus"}
 
 
-def test_a_command_runs_in_the_robots_thread_and_gives_its_result_back(loop):
+def test_a_command_runs_in_the_robots_thread_and_gives_its_result_or_exception_back(loop):
     answer = loop.submit(lambda now: (threading.current_thread().name, now))
     name, now = answer.result(TIMEOUT_S)
     assert name == "servo_bus"
     assert now == pytest.approx(time.monotonic(), abs=TIMEOUT_S)
 
-
-def test_a_commands_exception_goes_to_the_caller_and_not_into_the_loop(loop):
     def reject(_: float) -> None:
         raise RejectedError("too long")
 
@@ -149,26 +139,19 @@ def test_an_activation_that_takes_too_long_is_undone_when_it_ends(robot, loop):
     assert robot.releases == 1
 
 
-def test_a_command_that_was_given_up_in_the_queue_is_not_carried_out(robot, loop):
-    slow, done = Slow(robot), []
-    first = loop.submit(slow.activate)
-    assert slow.begun.wait(TIMEOUT_S)
-    with pytest.raises(DriverError, match="did not respond"):
-        loop.run(done.append, timeout=0.01, undo=done.append)
-    slow.may_end.set()
-    first.result(TIMEOUT_S)
-    loop.submit(lambda _: None).result(TIMEOUT_S)
-    assert done == []
-
-
-def test_a_command_without_deadline_is_executed_however_late(robot, loop):
+def test_of_the_commands_given_up_in_the_queue_only_one_without_deadline_is_carried_out(
+    robot, loop
+):
     slow, done = Slow(robot), []
     loop.submit(slow.activate)
     assert slow.begun.wait(TIMEOUT_S)
     with pytest.raises(DriverError, match="did not respond"):
-        loop.run_without_deadline(done.append, timeout=0.01)
+        loop.run(lambda _: done.append("late"), timeout=0.01, undo=lambda _: done.append("undone"))
+    with pytest.raises(DriverError, match="did not respond"):
+        loop.run_without_deadline(lambda _: done.append("executed"), timeout=0.01)
     slow.may_end.set()
-    wait_for(lambda: len(done) == 1)
+    loop.submit(lambda _: None).result(TIMEOUT_S)
+    assert done == ["executed"]
 
 
 def test_a_robot_that_does_not_come_to_rest_keeps_its_torque(robot):

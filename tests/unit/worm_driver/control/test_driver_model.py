@@ -275,10 +275,10 @@ class Life(RuleBasedStateMachine):
         problems = self.rig.end()
         by_person = self.person  # the check below resets it
         self.check_release()
-        if was_active and not by_person and self.contraction > SPRINGS_BACK:
+        if was_active and not by_person and self.rig.contraction > SPRINGS_BACK:
             assert problems
         if not problems:
-            assert not any(self.torques())
+            assert not any(self.rig.torques)
         self.restart(0.0)
 
     @precondition(lambda self: self.alive and self.rig.robot.active)
@@ -327,7 +327,7 @@ class Life(RuleBasedStateMachine):
         problems = robot.release()
         self.check_release()
         assert not robot.active
-        assert problems or not any(self.torques())
+        assert problems or not any(self.rig.torques)
         if problems:  # as in the node: everything is closed, and opened again
             self.restart(0.0)
 
@@ -374,7 +374,9 @@ class Life(RuleBasedStateMachine):
         if self.alive:
             self.activate()
 
-    @precondition(lambda self: self.alive and not self.rig.robot.active and not any(self.torques()))
+    @precondition(
+        lambda self: self.alive and not self.rig.robot.active and not any(self.rig.torques)
+    )
     @rule(servo=st.sampled_from([0, 1, 2]), left=LEFT_OVER)
     def another_program_changes_a_register(self, servo: int, left: tuple[str, int]) -> None:
         """The next driver resets the register or rejects it; then the program restores the register."""
@@ -463,15 +465,7 @@ class Life(RuleBasedStateMachine):
         self.rig.advance(self.clock.now)
         self.check_motion(whole=False)
 
-    def torques(self) -> list[int]:
-        return [servo.memory["torque_enable"] for servo in self.virtual.servos]
-
     # --- invariants ------------------------------------------------------------------------------------
-
-    @property
-    def contraction(self) -> float:
-        """Largest contraction (m) of a cable, by the shafts, which no fault of the bus affects."""
-        return max(-length for length in shaft_lengths(self.rig))
 
     def check_goals(self, seen: list[float]) -> None:
         """Assert that each goal is within the stroke, and within reach of the cable's last valid position.
@@ -519,7 +513,7 @@ class Life(RuleBasedStateMachine):
             held and not hold and then == now and not servo._shut_down
             for servo, held, hold, then, now in states
         )
-        if released and self.contraction > SPRINGS_BACK:
+        if released and self.rig.contraction > SPRINGS_BACK:
             robot = self.rig.robot
             assert self.person, robot.player
             assert (
@@ -556,9 +550,9 @@ class Life(RuleBasedStateMachine):
     def check_torques(self) -> None:
         robot = self.rig.robot
         if not robot.active and not robot.actuators.unreleased and not robot.actuators.left_on:
-            assert not any(self.torques())
+            assert not any(self.rig.torques)
         if robot.active and self.clock.now > self.troubled_until:
-            assert all(self.torques()) or robot.player.phase is GaitPhase.FAULT
+            assert all(self.rig.torques) or robot.player.phase is GaitPhase.FAULT
 
     @invariant()
     def torque_is_off_or_the_watchdog_armed_or_expired(self) -> None:

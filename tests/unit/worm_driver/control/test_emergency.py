@@ -6,11 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from worm_driver.control.emergency import (
-    EmergencyLatch,
-    latch_names,
-    state_folder,
-)
+from worm_driver.control.emergency import EmergencyLatch, latch_names, state_folder
 
 SERVOS = (1, 11, 12)
 

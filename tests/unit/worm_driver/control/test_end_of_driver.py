@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 import pytest
-from driver_rig import CABLE, Rig, moving, settings
+from driver_rig import CABLE, Rig, idle, moving, settings
 
 from worm_driver.driver_errors import ConfigurationError, RejectedError, StoppedError
 from worm_driver.gait.gait_player import Phase
@@ -30,9 +30,9 @@ def ended(rig: Rig, longest: float = 10.0) -> list[str]:
     return rig.end()
 
 
-def contraction(rig: Rig) -> float:
-    """Return the contraction in m."""
-    return (rig.cable.shaft.position - rig.home_ticks) * 2 * math.pi / 4096 * 0.025
+def told(message: str) -> float:
+    """Return the contraction (m) that a message names."""
+    return float(re.findall(r"contracted by ([\d.]+) mm", message)[0]) * 1e-3
 
 
 def stop(rig: Rig) -> None:
@@ -44,13 +44,13 @@ def test_a_stop_at_any_time_of_the_return_leaves_the_torque_on(passed):
     rig = closing(passed)
     stop(rig)
     (problem,) = ended(rig)
-    held = contraction(rig)
+    held = rig.contraction
     assert held > 0.003
-    assert f"contracted by {held * 1e3:.1f} mm" in problem
+    assert told(problem) == pytest.approx(held, abs=1e-4)
     assert rig.cable.memory["torque_enable"] == 1
     rig.clock.now += 1.0
     rig.advance(rig.clock.now)  # the bus watchdog has fired by now
-    assert contraction(rig) == pytest.approx(held, abs=1e-4)
+    assert rig.contraction == pytest.approx(held, abs=1e-4)
 
 
 def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
@@ -61,14 +61,14 @@ def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
     again.run(0.1)
     left = again.run(0.02).player.message
     assert "torque" in left
-    assert f"{contraction(again) * 1e3:.1f} mm" in left
+    assert told(left) == pytest.approx(again.contraction, abs=1e-4)
     again.robot.activate(again.clock.now)
     assert again.run(0.02).player.message == ""
     again.robot.ramp_to_rest(again.clock.now, "deactivated")
     while not again.robot.released:
         again.run(0.01)
     assert again.robot.release() == []
-    assert contraction(again) == pytest.approx(0.0, abs=1e-3)
+    assert again.contraction == pytest.approx(0.0, abs=1e-3)
     assert again.cable.memory["torque_enable"] == 0
 
 
@@ -77,19 +77,19 @@ def left_contracted() -> Rig:
     rig = closing(0.3)
     stop(rig)
     ended(rig)
-    assert contraction(rig) > 0.003
+    assert rig.contraction > 0.003
     return rig
 
 
 def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contracted():
     """The current limit of the servo could only be changed without torque."""
     rig = left_contracted()
-    held = contraction(rig)
+    held = rig.contraction
     other = replace(rig.settings, home_at_start=False, max_servo_current=1.9)
     with pytest.raises(ConfigurationError, match=r"current_limit is 2\.2"):
         rig.restarted_driver(other)
     assert rig.cable.memory["torque_enable"] == 1
-    assert contraction(rig) == pytest.approx(held, abs=1e-4)
+    assert rig.contraction == pytest.approx(held, abs=1e-4)
     again = rig.restarted_driver()
     again.robot.activate(again.clock.now)
     again.robot.ramp_to_rest(again.clock.now, "deactivated")
@@ -142,38 +142,37 @@ def latched(rig: Rig) -> Rig:
 
 def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
     rig = moving()
-    held = contraction(latched(rig))
+    held = latched(rig).contraction
     rig.loop.shutdown("the driver ends")
     assert ended(rig) != []
-    assert contraction(rig) == pytest.approx(held, abs=1e-3)
+    assert rig.contraction == pytest.approx(held, abs=1e-3)
     assert rig.cable.memory["torque_enable"] == 1
 
 
 def test_no_deactivation_moves_a_robot_before_its_emergency_stop_is_reset():
     rig = moving()
-    held = contraction(latched(rig))
+    held = latched(rig).contraction
     assert held > 0.01
     with pytest.raises(StoppedError, match="the emergency stop is on"):
         rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(0.5)
     assert not rig.robot.released
-    assert contraction(rig) == pytest.approx(held, abs=1e-4)
+    assert rig.contraction == pytest.approx(held, abs=1e-4)
     rig.robot._why_not_start = lambda: ""
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(10.0, until=lambda _: rig.robot.released)
-    assert contraction(rig) == pytest.approx(0.0, abs=1e-3)
+    assert rig.contraction == pytest.approx(0.0, abs=1e-3)
 
 
 def test_during_an_emergency_stop_a_robot_that_is_not_contracted_is_released_without_a_motion():
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     latched(rig)
     rig.goals.clear()
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     assert rig.robot.released
     assert rig.goals == []
     assert rig.robot.release() == []
-    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
 
 
 def test_in_fault_a_person_releases_the_torque_also_during_an_emergency_stop():
@@ -194,7 +193,7 @@ def test_a_fault_on_the_way_to_rest_releases_no_torque(shuts_down):
         rig.run(0.2)
     rig.inject("no_answer", target=11, duration=1e6)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
-    assert contraction(rig) > 0.01
+    assert rig.contraction > 0.01
     assert rig.cable.memory["torque_enable"] == 1
     assert (rig.robot.released, rig.robot.holding) == (False, True)
     if shuts_down:
@@ -206,8 +205,7 @@ def test_a_fault_on_the_way_to_rest_releases_no_torque(shuts_down):
 
 
 def test_a_deactivation_of_a_robot_that_would_not_spring_back_needs_no_second_one():
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.inject("no_answer", duration=1e6)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
@@ -223,7 +221,7 @@ def test_no_torque_is_switched_on_while_it_shuts_down():
     with pytest.raises(RejectedError, match="shuts down"):
         activation.result(0)
     assert rig.ended
-    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
 
 
 def test_no_gait_begins_while_it_shuts_down():

@@ -4,13 +4,13 @@
 import math
 import re
 import threading
-import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 from driver_rig import settings
+from waiting import TIMEOUT_S, wait_for
 
 from worm_driver.control import hardware as hardware_module
 from worm_driver.control.diagnostics import Level
@@ -25,15 +25,6 @@ from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_msgs.gait import Gait
-
-TIMEOUT_S = 20.0  # s, only a failing test waits so long
-
-
-def wait_for(condition) -> None:
-    end = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -115,11 +106,18 @@ class Adapter:
         return done
 
 
-def test_the_latency_timer_counts_that_the_open_port_has(given, monkeypatch):
-    Adapter(monkeypatch, afterwards=1)
-    hardware = Hardware(given)
-    assert not any("latency" in line for line in hardware.description())
-    assert hardware.robot.bus.port.quiet_time == pytest.approx(0.004)
+@pytest.mark.parametrize(
+    ("afterwards", "rate", "quiet_time"), [(1, 100.0, 0.004), (16, 20.0, 0.034)]
+)
+def test_the_latency_timer_counts_that_the_open_port_has(
+    given, monkeypatch, afterwards, rate, quiet_time
+):
+    Adapter(monkeypatch, afterwards)
+    hardware = Hardware(replace(given, rate=rate))
+    reported = [line for line in hardware.description() if "latency" in line]
+    assert len(reported) == (afterwards > 1)
+    assert all("is 16 ms, not 1: install the udev rule" in line for line in reported)
+    assert hardware.robot.bus.port.quiet_time == pytest.approx(quiet_time)
     hardware.close("over")
 
 
@@ -133,18 +131,8 @@ def test_a_latency_timer_that_stays_long_fails_the_configuration_with_the_remedy
     Hardware(given).close("over")  # the port was closed
 
 
-def test_a_latency_timer_that_a_slow_rate_tolerates_is_reported(given, monkeypatch):
-    Adapter(monkeypatch, afterwards=16)
-    hardware = Hardware(replace(given, rate=20.0))
-    assert any("is 16 ms, not 1: install the udev rule" in x for x in hardware.description())
-    assert hardware.robot.bus.port.quiet_time == pytest.approx(0.034)
-    hardware.close("over")
-
-
 @pytest.mark.parametrize(
-    "change",
-    [{"port": "/dev/no_worm"}, {"i2c_bus": "/dev/i2c-77"}],
-    ids=["port", "sensor"],
+    "change", [{"port": "/dev/no_worm"}, {"i2c_bus": "/dev/i2c-77"}], ids=["port", "sensor"]
 )
 def test_what_fails_to_open_leaves_nothing_open(given, change):
     with pytest.raises(DriverError):

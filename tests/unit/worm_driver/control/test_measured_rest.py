@@ -6,7 +6,7 @@ import math
 import re
 
 import pytest
-from driver_rig import CABLE, Rig, moving, settings, shaft_lengths, two_spools
+from driver_rig import CABLE, Rig, idle, moving, settings, shaft_lengths, two_spools
 
 from worm_driver.driver_errors import HomingError
 from worm_driver.gait.gait_player import Phase
@@ -17,15 +17,6 @@ REST = 0.002
 STOP, STILL = 0.100, 0.002
 #: m, by which a cable moves while the force of its body decays or builds up
 YIELD = 0.0015
-
-
-def contracted(rig: Rig) -> float:
-    """Return the largest contraction (m) of a cable, by the shafts."""
-    return max(-length for length in shaft_lengths(rig))
-
-
-def torques(rig: Rig) -> list[int]:
-    return [servo.memory["torque_enable"] for servo in rig.virtual.servos]
 
 
 def stopped(rig: Rig, length: float) -> Rig:
@@ -70,9 +61,9 @@ def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, 
         rig.loop.shutdown("the driver ends")
         rig.run(longest, until=lambda _: rig.ended)
         assert rig.end() == []
-    assert contracted(rig) <= REST
+    assert rig.contraction <= REST
     assert rig.robot.actuators.sprung_back == ""
-    assert torques(rig) == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
     assert rig.cable.memory["bus_watchdog"] == 0
 
 
@@ -81,7 +72,7 @@ def test_a_run_begins_at_measured_rest():
     slowed(rig, 0, 0.015)
     rig.start(0.02, 0.1, cycles=1)
     rig.run(20.0, until=lambda s: s.player.phase is Phase.FLIPPING)
-    assert contracted(rig) <= REST
+    assert rig.contraction <= REST
 
 
 def held_back(rate: float = 100.0) -> Rig:
@@ -100,7 +91,7 @@ def test_a_cable_that_does_not_come_to_rest_is_a_fault_with_its_measured_length(
     assert not rig.robot.released
     message = rig.robot.player.message
     (at,) = re.findall(r"servo 1 is .* \(at (-?[\d.]+) mm instead of -?0.0 mm\)", message)
-    assert -float(at) * 1e-3 == pytest.approx(contracted(rig), abs=2e-4)
+    assert -float(at) * 1e-3 == pytest.approx(rig.contraction, abs=2e-4)
     assert "too slow" in message
 
 
@@ -109,14 +100,14 @@ def test_a_driver_that_ends_without_measured_rest_leaves_the_torque_on():
     rig.loop.shutdown("the driver ends")
     rig.run(5.0, until=lambda _: rig.ended)
     (problem,) = rig.end()
-    assert f"contracted by {contracted(rig) * 1e3:.1f} mm at servo 1" in problem
-    assert torques(rig)[0] == 1
+    assert f"contracted by {rig.contraction * 1e3:.1f} mm at servo 1" in problem
+    assert rig.torques[0] == 1
 
 
 @pytest.mark.parametrize("deed", ["deactivate in fault", "second Ctrl-C"])
 def test_a_person_who_releases_a_contracted_robot_gets_the_measured_contraction(deed):
     rig = held_back() if deed == "deactivate in fault" else moving()
-    before = contracted(rig)
+    before = rig.contraction
     if deed == "deactivate in fault":
         rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
         assert rig.robot.released
@@ -124,7 +115,7 @@ def test_a_person_who_releases_a_contracted_robot_gets_the_measured_contraction(
     else:
         rig.loop.release_at_once()
         assert rig.end() == []
-    assert torques(rig) == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
     assert before > REST
     words = rig.robot.actuators.sprung_back.split()
     assert float(words[words.index("mm") - 1]) == pytest.approx(before * 1e3, abs=1.0)
@@ -134,33 +125,29 @@ def test_a_person_who_releases_a_contracted_robot_gets_the_measured_contraction(
 
 
 def test_a_silent_servo_counts_as_contracted_if_it_may_still_move_there():
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     rig.start(0.07, 0.4)
     rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING and s.cable < -0.0005)
     rig.inject("no_answer", target=CABLE, duration=1e6)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
     rig.run(0.5)
-    assert contracted(rig) > REST
+    assert rig.contraction > REST
     assert rig.robot.actuators.contracted
     rig.robot.shutdown()
-    assert torques(rig)[0] == 1
+    assert rig.torques[0] == 1
 
 
 @pytest.mark.parametrize("delay", range(11, 17))
 def test_a_robot_that_may_still_move_out_of_rest_is_not_released(delay):
     emergency = ""
-    rig = Rig(why_not_start=lambda: emergency)
-    rig.activate()
-    rig.start(0.09, 0.4)
-    rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig = Rig(why_not_start=lambda: emergency).play(0.09, 0.4)
     rig.run(0.01 * delay)
     emergency = "the emergency stop is on"
     rig.robot.stop(rig.clock.now, emergency)
     releases = rig.robot.released
     rig.positions.clear()
     rig.run(0.5)
-    assert contracted(rig) <= REST or not releases
+    assert rig.contraction <= REST or not releases
     assert releases or delay > 11
 
 
@@ -169,7 +156,7 @@ def test_a_robot_that_may_still_move_out_of_rest_is_not_released(delay):
 
 def test_repeated_stops_change_no_goal_and_move_no_cable():
     rig = stopped(slow(0.12), -0.05)
-    before, held = contracted(rig), {goal.ticks for goal in rig.goals[-3:]}
+    before, held = rig.contraction, {goal.ticks for goal in rig.goals[-3:]}
     rig.goals.clear()
     for _ in range(100):
         rig.robot.stop(rig.clock.now, "the emergency stop is on")
@@ -177,7 +164,7 @@ def test_repeated_stops_change_no_goal_and_move_no_cable():
     of_cable = {goal.ticks for goal in rig.goals if goal.servo == CABLE}
     assert of_cable <= held
     assert len(of_cable) == 1
-    assert contracted(rig) == pytest.approx(before, abs=2e-4)
+    assert rig.contraction == pytest.approx(before, abs=2e-4)
 
 
 def test_a_stop_in_idle_changes_no_goal():
@@ -212,13 +199,13 @@ def test_a_return_begins_at_the_goal_of_the_hold():
 
 def test_drivers_that_are_killed_and_take_over_do_not_let_the_cable_down():
     rig = stopped(slow(0.12), -0.05)
-    before = contracted(rig)
+    before = rig.contraction
     for _ in range(10):
         rig.clock.now += 0.5  # the bus watchdog fires
         rig = rig.restarted_driver(settings(home_at_start=False))
         rig.robot.activate(rig.clock.now)
         rig.run(0.3)
-    assert contracted(rig) == pytest.approx(before, abs=5e-4)
+    assert rig.contraction == pytest.approx(before, abs=5e-4)
 
 
 # --- several cable servos ----------------------------------------------------------------------------
@@ -245,7 +232,7 @@ def test_activation_holds_each_servo_where_it_is(distance):
     assert rig.bus.counters.withheld == 0
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(2.0, until=lambda _: rig.robot.released)
-    assert contracted(rig) <= REST
+    assert rig.contraction <= REST
 
 
 @pytest.mark.parametrize("distance", [0.006, 0.031, -0.009])
@@ -257,15 +244,13 @@ def test_activation_rejects_cables_that_differ(distance):
     named = re.findall(r"servo (\d) (?:is )?at (-?[\d.]+) mm", str(caught.value))
     assert [servo for servo, _ in named] == ["1", "2"]
     assert [float(length) * 1e-3 for _, length in named] == pytest.approx(before, abs=2e-4)
-    assert torques(rig) == [0, 0, 0, 0]
+    assert rig.torques == [0, 0, 0, 0]
     assert shaft_lengths(rig) == pytest.approx(before, abs=5e-4)
 
 
 @pytest.mark.parametrize("index", [0, 1])
 def test_one_lagging_servo_is_a_fault_of_this_servo(index):
-    rig = two_spools()
-    rig.activate()
-    rig.start(0.06, 0.3)
+    rig = two_spools().play(0.06, 0.3)
     slowed(rig, index, 0.006)
     rig.run(8.0, until=lambda s: s.player.phase is Phase.FAULT)
     assert f"the cable of servo {index + 1} is" in rig.robot.player.message
@@ -273,15 +258,19 @@ def test_one_lagging_servo_is_a_fault_of_this_servo(index):
     assert abs(lengths[0] - lengths[1]) < 0.025
 
 
-@pytest.mark.parametrize("lag", [0.004, 0.010])
-@pytest.mark.parametrize("index", [0, 1])
-def test_after_a_stop_each_servo_holds_where_it_is(index, lag):
-    rig = two_spools()
-    rig.activate()
-    rig.start(0.06, 0.3)
+def lagging(index: int, lag: float) -> Rig:
+    """Return a driver of two spools in a gait, one of which lags behind the other one by a length (m)."""
+    rig = two_spools().play(0.06, 0.3)
     slowed(rig, index, 0.006)
     rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > lag)
     rig.robot.stop(rig.clock.now, "stop")
+    return rig
+
+
+@pytest.mark.parametrize("lag", [0.004, 0.010])
+@pytest.mark.parametrize("index", [0, 1])
+def test_after_a_stop_each_servo_holds_where_it_is(index, lag):
+    rig = lagging(index, lag)
     begin, before, last = rig.clock.now, shaft_lengths(rig), rig.clock.now
     while rig.clock.now < begin + 2.0:
         rig.clock.now += 0.005
@@ -298,35 +287,26 @@ def test_after_a_stop_each_servo_holds_where_it_is(index, lag):
 
 
 def test_servos_that_hold_at_different_lengths_return_to_rest_together():
-    rig = two_spools()
-    rig.activate()
-    rig.start(0.06, 0.3)
-    slowed(rig, 1, 0.006)
-    rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > 0.010)
-    rig.robot.stop(rig.clock.now, "stop")
+    rig = lagging(1, 0.010)
     rig.run(0.5)
     slowed(rig, 1, 0.12)
     rig.goals.clear()
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(5.0, until=lambda _: rig.robot.released)
-    assert contracted(rig) <= REST
+    assert rig.contraction <= REST
     for spool in rig.settings.spools:
         lengths = [spool.length_change(g.ticks) for g in rig.goals if g.servo == spool.servo]
         steps = [b - a for a, b in itertools.pairwise(lengths)]
         assert min(steps) >= 0.0
         assert max(steps) <= 0.05 * rig.settings.period * 1.1
-    rig.start(0.03, 0.3, cycles=1)
-    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.play(0.03, 0.3, cycles=1)
     rig.run(1.0)
     ticks = [goal.ticks for goal in rig.goals[-4:-2]]
     assert ticks[0] == -ticks[1]
 
 
 def test_one_blocked_servo_of_two_stops_both():
-    rig = two_spools(max_following_error=1.0)
-    rig.activate()
-    rig.start(0.06, 0.3)
-    rig.run(8.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig = two_spools(max_following_error=1.0).play(0.06, 0.3)
     rig.run(0.7)
     rig.inject("stalled", target=2, duration=1e6)
     fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)

@@ -53,7 +53,7 @@ def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) 
 
 def test_opening_leaves_the_torque_off_and_finds_the_models(rig):
     rig.run(0.5)
-    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
     assert rig.snapshots[-1].active is False
     found = [servo.model.name for servo in rig.robot.actuators.servos]
     assert found == ["XM430-W350-T", "XL430-W250-T", "XL430-W250-T"]
@@ -102,7 +102,7 @@ def test_an_activation_that_fails_halfway_takes_the_torque_off_again(rig):
     rig.inject("error", target=12, duration=10.0, value=7)
     with pytest.raises(BusError, match="servo 12 "):
         rig.robot.activate(rig.clock.now)
-    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
     assert not rig.robot.active
 
 
@@ -111,7 +111,7 @@ def test_a_release_that_no_servo_acknowledges_still_takes_the_torque_off():
     rig.inject("no_answer", duration=10.0)
     problems = rig.robot.release()
     assert any("servo 1 does not answer" in problem for problem in problems)
-    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
 
 
 def test_a_release_without_a_port_is_reported_and_raises_nothing():
@@ -149,9 +149,7 @@ def test_a_stop_does_not_claim_that_a_torque_is_off_that_may_be_on(cause):
 
 
 def test_a_gait_is_played_as_commanded_and_ends_at_rest(rig):
-    rig.activate()
-    rig.start(0.06, 0.4, cycles=2)
-    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.play(0.06, 0.4, cycles=2)
     begin = len(rig.snapshots)
     end = rig.run(8.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
     played = rig.snapshots[begin:]
@@ -192,8 +190,7 @@ def test_the_servos_velocity_limit_is_a_limit_of_gaits():
 
 def test_the_end_of_each_run_is_in_a_snapshot_however_soon_the_next_one_begins():
     """Otherwise the goal of that run would never receive its result."""
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     gait = Gait(0.03, 0.4)
     for _ in range(3):
         rig.loop.submit(lambda now: rig.robot.start(now, gait, 1))
@@ -402,7 +399,7 @@ def test_a_servo_that_restarts_while_it_is_enabled_gets_no_torque_without_its_wa
     )
     with pytest.raises(ConfigurationError, match="servo 1 restarted while it was set up"):
         rig.robot.activate(rig.clock.now)
-    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.torques == [0, 0, 0]
     with pytest.raises(HomingError):
         rig.robot.activate(rig.clock.now)
 
@@ -441,10 +438,12 @@ def test_a_body_that_springs_back_is_held_where_it_has_come_to_by_then():
     assert max(abs(position - held) for _, position in rig.positions) < 26  # it yields by 1 mm
 
 
-def test_homing_with_the_torque_on_is_rejected(rig):
-    rig.activate()
+def test_homing_and_a_reboot_with_the_torque_on_are_rejected():
+    rig = idle()
     with pytest.raises(HomingError, match="deactivate"):
         rig.robot.home()
+    with pytest.raises(ConfigurationError, match="deactivate"):
+        rig.robot.reboot()
 
 
 def test_a_cable_out_of_its_range_is_not_moved(rig):
@@ -471,12 +470,6 @@ def test_an_alert_is_ended_by_a_reboot_on_request_only():
     rig.run(1.0)
     assert rig.snapshots[-1].alerts == frozenset()
     rig.robot.activate(rig.clock.now)
-
-
-def test_a_reboot_with_the_torque_on_is_rejected(rig):
-    rig.activate()
-    with pytest.raises(ConfigurationError, match="deactivate"):
-        rig.robot.reboot()
 
 
 # --- other robots ---------------------------------------------------------------------------------
@@ -550,10 +543,7 @@ def test_each_model_limits_its_own_output_a_little_above_the_level_of_a_fault(
 def test_an_overload_of_each_model_is_a_fault(model, voltage, limits):
     """The cable is blocked. Only the servo's effort may show this, in time before the servo overheats."""
     given = settings(**ONE_SERVO, **limits, max_following_error=1.0)
-    rig = Rig(given, other_robot({3: model}, voltage))
-    rig.activate()
-    rig.start(0.02, 0.2, cycles=2)
-    rig.run(12.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig = Rig(given, other_robot({3: model}, voltage)).play(0.02, 0.2, cycles=2)
     rig.run(1.0)
     rig.inject("stalled", target=3, duration=10.0)
     fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
@@ -573,8 +563,7 @@ def goals_of_cable(rig: Rig) -> list[float]:
 
 
 def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released():
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     rig.goals.clear()
     rig.start(0.06, 0.4, 2, **SHAPED)
     rig.run(10.0, until=lambda s: s.player.phase is Phase.RESTING)
@@ -611,8 +600,7 @@ def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released(
 
 @pytest.mark.parametrize("phase", [Phase.TENSIONING, Phase.RESTING, Phase.RUNNING, Phase.RETURNING])
 def test_a_stop_holds_in_every_phase_of_a_shaped_gait(phase):
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     rig.start(0.06, 0.4, 1, **SHAPED)
     rig.run(20.0, until=lambda s: s.player.phase is phase and s.player.length_change < -0.004)
     rig.robot.stop(rig.clock.now, "asked to")
@@ -625,10 +613,7 @@ def test_a_stop_holds_in_every_phase_of_a_shaped_gait(phase):
 
 
 def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
-    rig = Rig()
-    rig.activate()
-    rig.start(0.06, 0.4, 5, **SHAPED)
-    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig = idle().play(0.06, 0.4, 5, **SHAPED)
     assert "run 1 ends" in rig.robot.apply_settings(
         rig.clock.now, replace(rig.settings, max_stroke=0.07)
     )
@@ -639,8 +624,7 @@ def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
 
 
 def test_a_blocked_fin_is_named():
-    rig = Rig()
-    rig.activate()
+    rig = idle()
     rig.inject("stalled", target=12, duration=60.0)
     rig.start(0.03, 0.4, cycles=1, direction=-1)
     fault = rig.run(10.0, until=lambda s: s.player.phase is Phase.FAULT).player.message

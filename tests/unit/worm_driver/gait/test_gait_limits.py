@@ -11,18 +11,6 @@ from worm_driver.nodes.driver_messages import gait_from
 from worm_msgs.gait import Gait, Profile
 from worm_msgs.msg import Gait as GaitMessage
 
-
-def gait_message(stroke, frequency, **others):
-    return GaitMessage(
-        **{
-            **dataclasses.asdict(Gait(0.07, 0.2)),
-            "stroke": stroke,
-            "frequency": frequency,
-            **others,
-        }
-    )
-
-
 LIMITS = GaitLimits(max_stroke=0.09, max_frequency=0.4, max_cable_speed=0.1)
 
 
@@ -47,16 +35,8 @@ LIMITS = GaitLimits(max_stroke=0.09, max_frequency=0.4, max_cable_speed=0.1)
         ((0.07, 0.2, {"pretension": -1e-3}), 5, "pretension: -0.001 m"),
         ((0.07, 0.2, {"pretension": 0.021}), 5, "contract the body by 0.091 m; the limit is 0.09"),
         ((0.07, 0.2, {"contraction_share": math.inf}), 5, "contraction_share: inf"),
-        (
-            (0.07, 0.2, {"contraction_share": 0.0}),
-            5,
-            "contraction_share: 0.0 is not between 0.01 and 0.99",
-        ),
-        (
-            (0.07, 0.2, {"contraction_share": 1.0}),
-            5,
-            "contraction_share: 1.0 is not between 0.01 and 0.99",
-        ),
+        ((0.07, 0.2, {"contraction_share": 0.0}), 5, "contraction_share: 0.0 is not between 0.01"),
+        ((0.07, 0.2, {"contraction_share": 1.0}), 5, "contraction_share: 1.0 is not between 0.01"),
         ((0.07, 0.2, {"contraction_share": 0.2}), 5, "0.1100 m/s; the limit is 0.1000"),
         ((0.07, 0.2, {"contraction_share": 0.8}), 5, "frequency is at most 0.0127 m/s"),
         ((0.07, 0.2, {"profile": 2}), 5, "profile: 2 is neither cosine nor trapezoid"),
@@ -70,8 +50,10 @@ LIMITS = GaitLimits(max_stroke=0.09, max_frequency=0.4, max_cable_speed=0.1)
 )
 def test_a_gait_beyond_the_limits_is_rejected_with_the_reason(values, cycles, message):
     stroke, frequency, others = values
+    changes = {"stroke": stroke, "frequency": frequency, **others}
+    gait = GaitMessage(**dataclasses.asdict(Gait(0.07, 0.2)) | changes)
     with pytest.raises(RejectedError, match=re.escape(message)):
-        LIMITS.check(gait_from(gait_message(stroke, frequency, **others)), cycles)
+        LIMITS.check(gait_from(gait), cycles)
 
 
 @pytest.mark.parametrize(

@@ -212,11 +212,7 @@ def test_noise_around_no_current_is_no_swapped_shunt():
 
 @pytest.mark.parametrize(
     ("cycles", "ending", "completed", "averaged"),
-    [
-        (2.0, Ending.CANCELLED, 2, 2),
-        (3.5, Ending.STOPPED, 3, 3),
-        (0.5, Ending.STOPPED, 0, 0),
-    ],
+    [(2.0, Ending.CANCELLED, 2, 2), (3.5, Ending.STOPPED, 3, 3), (0.5, Ending.STOPPED, 0, 0)],
 )
 def test_a_run_that_ends_early_averages_the_cycles_it_completed(
     cycles, ending, completed, averaged

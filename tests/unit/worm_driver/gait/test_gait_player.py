@@ -12,6 +12,7 @@ from worm_driver.gait.gait_player import Ending, Observation, Phase, PlayerSetti
 from worm_msgs.gait import Gait, Profile
 
 SETTINGS = PlayerSettings()
+GAIT = Gait(0.07, 0.4)
 READY = Observation(fins_set=True, idle_samples=100)
 DT = 0.01
 
@@ -27,13 +28,16 @@ def play(state, now, duration, seen=READY, until=None):
     return states
 
 
-def running(gait=Gait(0.07, 0.4), cycles=5):  # noqa: B008
-    state = gait_player.start(PlayerState(), 0.0, gait, cycles)
-    return play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)[-1]
+def started(gait=GAIT, cycles=5):
+    return gait_player.start(PlayerState(), 0.0, gait, cycles)
+
+
+def running(gait=GAIT, cycles=5):
+    return play(started(gait, cycles), 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)[-1]
 
 
 def test_a_run_rests_first_and_begins_at_no_contraction():
-    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    state = started()
     states = play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)
     assert {s.length_change for _, s in states} == {0.0}
     resting = [t for t, s in states if s.phase is Phase.RESTING]
@@ -45,19 +49,18 @@ def test_a_run_rests_first_and_begins_at_no_contraction():
 
 
 def test_the_rest_waits_for_ten_idle_samples():
-    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    state = started()
     few = Observation(fins_set=True, idle_samples=9)
     states = play(state, 0.0, 2.5, seen=few)
     assert states[-1][1].phase is Phase.RESTING
     now, state = states[-1]
     assert play(state, now, DT)[-1][1].phase is Phase.RUNNING
-    assert (
-        play(state, now, 2.0, seen=few)[-1][1].phase is Phase.RUNNING
-    )  # it does not wait for ever
+    # it does not wait for ever
+    assert play(state, now, 2.0, seen=few)[-1][1].phase is Phase.RUNNING
 
 
 def test_the_rest_waits_for_the_tracker_but_not_for_ever():
-    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    state = started()
     blind = Observation(fins_set=True, idle_samples=100, tracker_ready=False)
     states = play(state, 0.0, 10.0, seen=blind, until=lambda s: s.phase is Phase.RUNNING)
     assert states[-1][0] - states[-1][1].run.rest_start >= SETTINGS.rest_timeout - DT
@@ -82,7 +85,7 @@ GAITS = st.builds(
 @given(GAITS, st.integers(1, 4))
 @example(Gait(0.0625, 0.359375, pretension=0.000726), 1)  # the run ends between two steps
 def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(gait, cycles):
-    state = gait_player.start(PlayerState(), 0.0, gait, cycles)
+    state = started(gait, cycles)
     states = play(state, 0.0, 60.0, until=lambda s: s.phase is Phase.IDLE)
     final = states[-1][1]
     assert final.length_change == 0.0
@@ -99,7 +102,7 @@ def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(gait, cycles):
 
 
 def test_the_cable_is_tensioned_once_the_fins_are_set_and_rests_before_the_gait():
-    state = gait_player.start(PlayerState(), 0.0, SHAPED, 1)
+    state = started(SHAPED, 1)
     moving = Observation(fins_set=False, idle_samples=0)
     waiting = play(state, 0.0, 1.0, seen=moving)
     assert {s.length_change for _, s in waiting} == {0.0}
@@ -115,7 +118,7 @@ def test_the_cable_is_tensioned_once_the_fins_are_set_and_rests_before_the_gait(
 
 @given(st.floats(0.0, 12.0), st.sampled_from(["cancel", "release", "stop", "fault"]))
 def test_at_any_time_of_a_shaped_gait_it_comes_to_rest_or_holds(when, deed):
-    state = gait_player.start(PlayerState(), 0.0, SHAPED, 2)
+    state = started(SHAPED, 2)
     states = play(state, 0.0, when) or [(0.0, state)]
     now, state = states[-1]
     here, ended = state.length_change, state.run.ending
@@ -148,14 +151,14 @@ def test_a_run_may_begin_while_the_cable_still_returns_from_the_one_before():
     now, state = play(state, now, 0.1)[-1]
     assert -SHAPED.pretension < state.length_change < 0.0
     once = play(state, now, 5.0, until=lambda s: s.length_change == 0.0)
-    state = gait_player.start(state, now, Gait(0.07, 0.4), 1)
+    state = gait_player.start(state, now, GAIT, 1)
     again = play(state, now, 5.0, until=lambda s: s.length_change == 0.0)
     assert [s.length_change for _, s in again] == [s.length_change for _, s in once]
     assert again[-1][1].run.number == 2
 
 
 def test_a_late_step_does_not_make_the_tensioning_faster():
-    state = gait_player.start(PlayerState(), 0.0, SHAPED, 1)
+    state = started(SHAPED, 1)
     now, state = play(state, 0.0, 5.0, until=lambda s: s.phase is Phase.TENSIONING)[-1]
     now, state = play(state, now, 0.1)[-1]
     late = gait_player.step(state, now + 0.06, READY, SETTINGS)
@@ -196,7 +199,7 @@ def test_cancel_ends_at_the_next_point_of_rest(when):
 
 
 def test_cancel_at_rest_ends_at_once():
-    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    state = started()
     now, state = play(state, 0.0, 0.8)[-1]
     assert state.phase is Phase.RESTING
     state = gait_player.cancel(state, now, "cancelled")
@@ -219,7 +222,7 @@ def test_after_a_stop_the_command_does_not_change():
 def test_a_return_lasts_until_the_encoders_show_the_cable_at_rest(cancelled):
     now, state = running()
     state = replace(gait_player.stop(state, now, "asked to"), length_change=-0.02)
-    state = gait_player.start(state, now, Gait(0.07, 0.4), 1)
+    state = gait_player.start(state, now, GAIT, 1)
     if cancelled:
         state = gait_player.cancel(state, now, "cancelled")
     returning = state.phase
@@ -232,7 +235,7 @@ def test_a_return_lasts_until_the_encoders_show_the_cable_at_rest(cancelled):
 def test_a_second_run_is_rejected_with_the_reason():
     now, state = running()
     with pytest.raises(RejectedError, match=r"running already \(cycle 1 of 5\)"):
-        gait_player.start(state, now, Gait(0.07, 0.4), 5)
+        gait_player.start(state, now, GAIT, 5)
 
 
 def test_a_fault_holds_and_rejects_until_the_next_activation():
@@ -241,7 +244,7 @@ def test_a_fault_holds_and_rejects_until_the_next_activation():
     assert state.run.ending is Ending.FAILED
     assert play(state, now, 1.0)[-1][1].length_change == state.length_change
     with pytest.raises(RejectedError, match="servo 1 is gone"):
-        gait_player.start(state, now, Gait(0.07, 0.4), 5)
+        gait_player.start(state, now, GAIT, 5)
     assert gait_player.fault(state, now, "another").message == "servo 1 is gone"
     assert gait_player.stop(state, now, "stop").phase is Phase.FAULT
 

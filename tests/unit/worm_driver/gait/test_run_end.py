@@ -96,30 +96,18 @@ def test_a_run_that_is_finished_ends_as_completed_with_its_cycle():
     assert gait_player.finish(resting, 0.0) == resting
 
 
-# --- the heartbeat of its client ---
-
-
-def test_an_owner_that_sends_heartbeats_is_not_silent():
+def test_an_owner_is_silent_after_a_timeout_without_heartbeats_and_not_after_the_drivers_pause():
     owner = HeartbeatMonitor(1.0, 0.0)
     for look in range(100):
         if look % 3 == 0:
             owner.record()
         assert not owner.is_silent(look * PERIOD)
-
-
-def test_an_owner_without_heartbeats_is_silent_after_its_timeout():
     owner = HeartbeatMonitor(1.0, 0.0)
     silent = [owner.is_silent(look * PERIOD) for look in range(1, 15)]
     assert silent == [look * PERIOD > 1.0 + 1e-9 for look in range(1, 15)]
-
-
-def test_the_drivers_own_pause_is_not_its_owners_silence():
-    owner = HeartbeatMonitor(1.0, 0.0)
-    assert not owner.is_silent(30.0)
+    assert not HeartbeatMonitor(1.0, 0.0).is_silent(30.0)
 
 
 def test_the_shorter_timeout_holds():
-    assert (
-        shorter_timeout(2.0, 0.0) == shorter_timeout(0.0, 2.0) == shorter_timeout(2.0, 3.0) == 2.0
-    )
+    assert {shorter_timeout(*each) for each in ((2.0, 0.0), (0.0, 2.0), (2.0, 3.0))} == {2.0}
     assert shorter_timeout(0.0, 0.0) == math.inf

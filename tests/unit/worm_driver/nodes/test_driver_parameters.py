@@ -31,12 +31,8 @@ def test_a_parameter_that_takes_effect_at_configure_is_rejected_until_cleanup():
     for name, value in (("port", "/dev/other"), ("limits.max_stroke_m", 0.06)):
         assert "deactivate" in reason(name, value, configured=True)
         assert reason(name, value, configured=False) == ""
-
-
-def test_a_limit_may_be_lowered_at_any_time():
+    # a limit may be lowered at any time
     assert reason("limits.max_stroke_m", 0.04, configured=True) == ""
-
-
-def test_the_heartbeat_of_the_next_goal_may_change_at_any_time_and_the_clock_never():
+    # and so may the heartbeat of the next goal, but not the clock
     assert reason("heartbeat_s", 1.0, configured=True) == ""
     assert "clock" in reason("use_sim_time", True, configured=False)

@@ -13,7 +13,7 @@ from rclpy.action import CancelResponse
 from rclpy.task import Future
 
 from worm_driver.gait.gait_metrics import RunRecord
-from worm_driver.gait.gait_player import Ending, Phase
+from worm_driver.gait.gait_player import Ending
 from worm_driver.gait.run_end import HeartbeatMonitor, RunEnd
 from worm_driver.nodes import run_gait_action
 from worm_driver.nodes.run_gait_action import RunGaitAction
@@ -26,11 +26,7 @@ GOAL = SimpleNamespace(goal_id=SimpleNamespace(uuid=b"goal"), is_cancel_requeste
 @pytest.fixture
 def rig() -> Rig:
     """Return a rig in the first cycle of a slow run."""
-    rig = Rig(settings(watchdog=2.0))
-    rig.activate()
-    rig.start(0.03, 0.2, cycles=50)
-    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
-    return rig
+    return Rig(settings(watchdog=2.0)).play(0.03, 0.2, cycles=50)
 
 
 @pytest.fixture

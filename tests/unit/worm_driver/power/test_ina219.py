@@ -96,14 +96,13 @@ def test_an_adapter_that_swaps_bytes_is_noticed_whatever_the_chip_was_set_to(bef
         chip.sensor.start()
 
 
-def test_another_chip_is_noticed_at_the_start():
-    with pytest.raises(PowerSensorError, match=r"0x40 on I2C bus 1 is no INA219, .* 0x1234"):
-        INA219(I2CDevice(RegisterBus({0: 0x1234}), "1", 0x40), 0.1, 4194).start()
-
-
-def test_settings_that_do_not_stick_are_noticed():
-    with pytest.raises(PowerSensorError, match="loses its settings"):
-        INA219(I2CDevice(RegisterBus({0: 0x399F}), "1", 0x40), 0.1, 4194).start()
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [(0x1234, "0x40 on I2C bus 1 is no INA219, .* 0x1234"), (0x399F, "loses its settings")],
+)
+def test_another_chip_or_settings_that_do_not_stick_are_noticed_at_the_start(content, expected):
+    with pytest.raises(PowerSensorError, match=expected):
+        INA219(I2CDevice(RegisterBus({0: content}), "1", 0x40), 0.1, 4194).start()
 
 
 def test_looking_too_often_gives_not_ready_and_no_old_value(chip):
@@ -142,10 +141,7 @@ def test_a_brown_out_is_noticed_with_the_next_sample_and_repaired(chip):
     assert SampleStatus.OVERFLOW not in seen
     assert seen[-1] is SampleStatus.VALID
     assert chip.sensor.is_set_up()
-
-
-def test_no_valid_sample_lies_between_a_brown_out_and_its_discovery(chip):
-    chip.robot.chip.power_on()
+    chip.robot.chip.power_on()  # no valid sample lies between it and its discovery
     assert chip.sample().status is SampleStatus.SENSOR_RESET
 
 
@@ -184,11 +180,6 @@ def test_the_calibration_is_the_data_sheets(resistance, current, value):
     assert all(calibration_for(mohm * 1e-3, 3.0) & 1 == 0 for mohm in range(10, 100))
 
 
-def test_a_current_beyond_the_shunts_range_is_rejected():
-    with pytest.raises(ConfigurationError, match=r"at most 3\.2 A, or a smaller shunt"):
-        calibration_for(0.1, 5.0)
-
-
 @pytest.mark.parametrize(
     ("resistance", "current", "least"),
     [
@@ -208,17 +199,16 @@ def test_a_current_too_small_for_the_register_is_rejected_and_the_smallest_one_i
 
 
 @pytest.mark.parametrize(
-    ("resistance", "current"), [(0.0, 3.2), (-0.1, 3.2), (0.1, 0.0), (0.1, math.nan)]
+    ("resistance", "current", "expected"),
+    [
+        *((resistance, current, "") for resistance, current in ((0.0, 3.2), (-0.1, 3.2))),
+        *((0.1, current, "") for current in (0.0, math.nan)),
+        (0.1, 5.0, r"at most 3\.2 A, or a smaller shunt"),
+    ],
 )
-def test_an_impossible_shunt_is_rejected(resistance, current):
-    with pytest.raises(ConfigurationError):
+def test_an_impossible_shunt_or_range_is_rejected(resistance, current, expected):
+    with pytest.raises(ConfigurationError, match=expected):
         calibration_for(resistance, current)
-
-
-def test_a_bus_can_be_opened_again(tmp_path):
-    device = I2CDevice(RegisterBus({}), str(tmp_path / "i2c-9"), 0x40)
-    with pytest.raises(PowerSensorError, match="does not exist"):
-        device.reopen()
 
 
 def test_a_missing_bus_is_named_with_the_remedy(tmp_path):
@@ -226,9 +216,8 @@ def test_a_missing_bus_is_named_with_the_remedy(tmp_path):
         open_device(str(tmp_path / "i2c-9"), 0x40)
     with pytest.raises(PowerSensorError, match=r"bus 99 does not exist"):
         open_device("99", 0x40)
-
-
-def test_a_file_that_is_no_bus_is_rejected(tmp_path):
+    with pytest.raises(PowerSensorError, match="does not exist"):
+        I2CDevice(RegisterBus({}), str(tmp_path / "i2c-9"), 0x40).reopen()
     (tmp_path / "i2c").touch()
     with pytest.raises(PowerSensorError, match="cannot be opened"):
         open_device(str(tmp_path / "i2c"), 0x40)

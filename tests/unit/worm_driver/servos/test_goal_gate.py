@@ -2,7 +2,7 @@
 """No goal beyond its bounds is written, whichever code sends it: on the bytes of the virtual robot's servos."""
 
 import pytest
-from driver_rig import CABLE, Clock, SimulatedPort, Wire
+from driver_rig import CABLE, Line
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -10,23 +10,15 @@ from worm_driver.driver_errors import RejectedError
 from worm_driver.servos.goal_gate import Bound, GoalGate
 from worm_driver.servos.position_track import PositionSample, PositionTrack
 from worm_driver.servos.registers import COMMON
-from worm_driver.servos.servo_bus import ServoBus
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import load_settings
 
 GOAL = COMMON["goal_position"]
 
 
-class Gated:
+class Gated(Line):
     """Gate to cable servo 1, whose position was 0 at the time 0."""
 
     def __init__(self, bound: Bound) -> None:
-        self.clock = Clock()
-        robot = VirtualRobot(load_settings(None))
-        wire = Wire(
-            self.clock, lambda data, now: [(t.time, t.data) for t in robot.receive(data, now)]
-        )
-        self.bus = ServoBus(SimulatedPort(wire, self.clock))
+        super().__init__()
         self.track = PositionTrack({CABLE: 4.8})
         self.track.begin({CABLE: PositionSample(0, 0.0)})
         self.gate = GoalGate(self.bus, self.track)

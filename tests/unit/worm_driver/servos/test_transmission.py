@@ -39,8 +39,5 @@ def test_an_impossible_spool_is_rejected(sign, radius):
 def test_fins_turn_to_the_angle_of_their_direction():
     fin = Fin(11, math.pi / 2, 3 * math.pi / 2)
     assert (fin.ticks(1), fin.ticks(-1)) == (1024, 3072)
-
-
-def test_a_fin_angle_outside_a_turn_is_rejected():
     with pytest.raises(ConfigurationError, match=r"fin servo 11 .* 7"):
         Fin(11, 0.0, 7.0)

@@ -48,17 +48,3 @@ def test_a_run_of_five_ridges_is_measured_to_a_tenth_of_a_millimetre(settings, y
     assert np.sqrt((errors**2).mean(axis=0)).max() < RMS
     assert np.abs(errors).max() < WORST
     assert np.ptp(done.truth[:, 0]) > 0.08  # five ridges
-
-
-def test_a_late_stamp_is_corrected_by_the_delay():
-    """At 44 mm/s, 20 ms are 0.9 mm."""
-    from camera_rig import crawling, setup_of
-
-    late = video(
-        SETTINGS,
-        np.arange(1.0, 2.0, 0.1),
-        motion=lambda stamp: crawling(stamp - 0.02),
-        setup=setup_of(SETTINGS, delay=0.02),
-    )
-    for sample in late.samples:
-        assert (sample.rear, sample.front) == pytest.approx(crawling(sample.time), abs=WORST)

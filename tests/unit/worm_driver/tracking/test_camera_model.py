@@ -85,10 +85,7 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
         ({"camera_matrix": {"data": [1.0] * 8}}, "camera_matrix.* nine "),
         ({"camera_matrix": {"data": [900.0, 2.0, 640.0, 0, 900.0, 360.0, 0, 0, 1.0]}}, "skew"),
         ({"camera_matrix": [1.0]}, r"camera_matrix.* mapping"),
-        (
-            {"distortion_model": "thin_prism"},
-            "thin_prism.*plumb_bob, rational_polynomial",
-        ),
+        ({"distortion_model": "thin_prism"}, "thin_prism.*plumb_bob, rational_polynomial"),
         ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "4 or 5 coefficients, not 2"),
         ({"distortion_coefficients": {"data": [0.0, 0.0, 0.0, math.nan]}}, "nan"),
     ],

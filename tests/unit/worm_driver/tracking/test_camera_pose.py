@@ -9,6 +9,7 @@ import pytest
 from camera_rig import SETTINGS, PaperCamera, setup_of
 from hypothesis import given
 from hypothesis import strategies as st
+from rendered_images import axes_of
 
 from worm_driver.driver_errors import PoseError
 from worm_driver.tracking.camera_pose import FixedCamera, MovingCamera, find_pose
@@ -26,9 +27,10 @@ def fixed() -> FixedCamera:
 
 @given(st.floats(-0.35, 0.35), st.floats(-0.3, 0.3), st.floats(-0.2, 0.2), st.floats(0.4, 1.0))
 def test_the_pose_is_that_of_the_camera(yaw, pitch, roll, distance):
-    forward = np.array([-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
+    settings = replace(SETTINGS, yaw=yaw, pitch_angle=pitch, roll=roll)
+    forward = axes_of(settings)[2]
     place = np.array([0.2, -0.03, 0.0]) - distance * forward
-    settings = replace(SETTINGS, yaw=yaw, pitch_angle=pitch, roll=roll, position=tuple(place))
+    settings = replace(settings, position=tuple(place))
     pose = find_pose(SETUP, SETUP.camera, corners(PaperCamera(settings)))
     assert pose.position == pytest.approx(place, abs=1e-5)
     assert pose.rotation[2] == pytest.approx(forward, abs=1e-5)

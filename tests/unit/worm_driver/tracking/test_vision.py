@@ -26,8 +26,7 @@ def encoded(encoding: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "encoding",
-    ["mono8", "bgr8", "rgb8", "bgra8", "rgba8", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"],
+    "encoding", ["mono8", "bgr8", "rgb8", "bgra8", "rgba8", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
 )
 @pytest.mark.parametrize("padding", [0, 5])
 def test_every_encoding_gives_the_same_grey(encoding: str, padding: int):

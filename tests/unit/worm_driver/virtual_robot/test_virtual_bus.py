@@ -207,9 +207,7 @@ def test_rubbish_never_disturbs_what_follows(rubbish, tail):
 
 
 @given(
-    st.sampled_from([CABLE, REAR, BROADCAST_ID, 77]),
-    st.integers(0, 255),
-    st.binary(max_size=24),
+    st.sampled_from([CABLE, REAR, BROADCAST_ID, 77]), st.integers(0, 255), st.binary(max_size=24)
 )
 # more than the control table
 @example(BROADCAST_ID, Instruction.SYNC_READ, b"\x00\x00\xff\xff\x01")

@@ -155,8 +155,6 @@ def set_goal(servo: Servo, ticks: int) -> None:
     servo.write(116, ticks.to_bytes(4, "little", signed=True))
 
 
-# --- the camera ---
-
 CLEAR = TrackerSettings(rate=30.0, noise=0.00015, occlusion_rate=0.0, occlusion=0.3, latency=0.0)
 
 

@@ -34,8 +34,6 @@ def text_message(time: int, topic: Topic, text: bytes = b"hello\0") -> Message:
     return Message(topic.name, time, data, time, topic)
 
 
-# --- IDL ----------------------------------------------------------------------------------------------
-
 ROOT = """// generated from rosidl_adapter/resource/msg.idl.em
 // with input from demo_msgs/msg/Arm.msg "of a robot"
 #include "builtin_interfaces/msg/Time.idl"
@@ -137,9 +135,6 @@ def test_idl_that_is_none_is_rejected_in_one_line():
     assert "\n" not in str(error.value)
 
 
-# --- bags without a run -------------------------------------------------------------------------------
-
-
 def write_no_topic(path: Path) -> None:
     with new_bag(path):
         pass
@@ -182,9 +177,6 @@ def test_an_intact_bag_without_a_run_is_not_called_damaged(tmp_path, monkeypatch
     assert row["notes"]
 
 
-# --- log times far from the rest ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("far", [0, 4_294_967_295 * 10**9, 2**64 - 1, None])
 def test_durations_and_positions_leave_out_gaps_of_log_time(tmp_path: Path, far: int | None):
     """Log times of zero, of the year 2106, and hours before the rest."""
@@ -219,9 +211,6 @@ def test_one_strange_log_time_does_not_move_the_start_of_a_run(tmp_path: Path):
         assert clock_offset(bag, "") == 0
 
 
-# --- a topic with two types or encodings --------------------------------------------------------------
-
-
 def mixed(path: Path, other: Topic) -> Path:
     """Write a run whose power topic also has three messages of another channel."""
     with open_bag(write_bag(path.with_name("whole"), RUN)) as bag:
@@ -251,20 +240,6 @@ def test_what_can_be_read_of_a_topic_is_read_and_the_rest_is_named(
     rows = (tmp_path / "out" / "worm__power.csv").read_text().splitlines()
     assert len(rows) == 1 + len(RUN.power.stamp)
     assert (tmp_path / "out" / "run.csv").exists()
-
-
-def test_a_second_type_that_can_be_decoded_is_in_the_table(tmp_path: Path, monkeypatch):
-    path = mixed(tmp_path / "bag", text_topic("/worm/power"))
-    with open_bag(path, lambda _: None) as bag:
-        assert len(read_run(bag).power.stamp) == len(RUN.power.stamp)
-    monkeypatch.setattr("sys.argv", ["export", str(path), "--output", str(tmp_path / "out")])
-    assert export.main() == 0
-    table = (tmp_path / "out" / "worm__power.csv").read_text()
-    assert table.count(",hello") == 3
-    assert len(table.splitlines()) == 1 + len(RUN.power.stamp) + 3
-
-
-# --- other systems ------------------------------------------------------------------------------------
 
 
 def test_bags_are_read_without_fcntl(tmp_path: Path):

@@ -65,13 +65,6 @@ def test_the_table_names_the_conditions_of_runs_that_have_some(run, tmp_path):
     assert row["conditions"]["slope_deg"] == 20.0
 
 
-def test_what_was_read_once_is_not_read_again(run, monkeypatch):
-    first = run("table", SAMPLES, "--json")[1]
-    monkeypatch.setattr(bag_runs, "rows_of_bag", None)
-    status, again, error = run("table", SAMPLES, "--json")
-    assert (status, again, error) == (0, first, "")
-
-
 def test_the_index_of_a_folder_does_not_depend_on_how_its_path_is_given(run, monkeypatch):
     monkeypatch.chdir(SAMPLES.parent)
     rows = json.loads(run("table", "bags", "--json")[1])["runs"]

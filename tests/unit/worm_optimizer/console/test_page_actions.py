@@ -22,14 +22,20 @@ from worm_optimizer.search.gait_request import GaitRequest, Objective
 GAIT = Gait(0.03, 0.2, 1)
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool) -> str:
+def run(
+    monkeypatch: pytest.MonkeyPatch,
+    *cancellations: str,
+    success: bool,
+    rejected: bool = False,
+    bag: Path = Path("run_1"),
+) -> str:
     """Run a gait with the responses of `cancellation`, from the start of the run to its end."""
     result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
-    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=False)
+    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=rejected)
     node = SimpleNamespace(
         begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
     )
-    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(Path("run_1")))
+    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(bag))
     monkeypatch.setattr(page_actions, "new_bag", lambda _: Path("run_1"))
     answers = iter(cancellations)
     command = GaitCommand(GAIT, cycles=2)
@@ -55,16 +61,8 @@ def test_a_cancelled_run_does_not_start(monkeypatch: pytest.MonkeyPatch):
 def test_a_rejected_gait_leaves_no_bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     bag = tmp_path / "run_1"
     bag.mkdir()
-    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(bag))
-    result = RunResult(GAIT, False, "rejected: too long", 0, 0, *6 * (math.nan,))
-    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=True)
-    node = SimpleNamespace(
-        begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
-    )
-    with pytest.raises(OperatorError, match="too long"):
-        page_actions.run(
-            node, GaitCommand(GAIT, cycles=2), tmp_path, "", lambda: "", lambda _: None
-        )
+    with pytest.raises(OperatorError, match="the result"):
+        run(monkeypatch, "", "", success=False, rejected=True, bag=bag)
     assert not bag.exists()
 
 

@@ -34,14 +34,9 @@ def test_speeds_are_along_the_gaits_direction_in_the_message():
     assert message.gait.direction == Gait.REVERSE
 
 
-def test_objectives_have_the_numbers_of_the_message():
-    for objective in Objective:
-        assert getattr(RequestGait.Request, objective.name) == objective.value
-
-
-def test_statuses_have_the_numbers_of_the_message():
-    for status in RequestStatus:
-        assert getattr(RequestGait.Response, status.name) == status.value
+def test_objectives_and_statuses_have_the_numbers_of_the_message():
+    for part, kinds in ((RequestGait.Request, Objective), (RequestGait.Response, RequestStatus)):
+        assert all(getattr(part, kind.name) == kind.value for kind in kinds)
 
 
 def test_an_answer_without_a_gait_has_no_figures():

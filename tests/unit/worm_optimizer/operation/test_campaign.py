@@ -29,24 +29,14 @@ from worm_optimizer.search.search_settings import ScanSettings, Settings
 FILE = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
 
 
-@pytest.fixture(scope="module")
-def quick() -> Settings:
-    return Settings(
-        margin=0.001,
-        scan=ScanSettings(0.0, 0.002, 0.001),
-        resolution=Resolution(21, 17),
-        samples=20,
-    )
+QUICK = Settings(
+    margin=0.001, scan=ScanSettings(0.0, 0.002, 0.001), resolution=Resolution(21, 17), samples=20
+)
 
 
 @pytest.fixture(scope="module")
 def plan():
-    coarse = Settings(
-        margin=0.0034,
-        scan=ScanSettings(0.003, 0.004, 0.0005),
-        resolution=Resolution(21, 17),
-        samples=20,
-    )
+    coarse = dataclasses.replace(QUICK, margin=0.0034, scan=ScanSettings(0.003, 0.004, 0.0005))
     return make_plan(ParameterFile(), coarse, 1)
 
 
@@ -57,14 +47,14 @@ def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
     assert {gait.margin for gait in plan.gaits.values()} == {0.0034}
 
 
-def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground(quick):
-    steep = dataclasses.replace(quick, conditions=Conditions(slope_deg=20.0, tether_n=2.0))
+def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground():
+    steep = dataclasses.replace(QUICK, conditions=Conditions(slope_deg=20.0, tether_n=2.0))
     plan = make_plan(ParameterFile(), steep, 1)
     compared = with_comparisons(plan, ParameterFile(), steep, 1, nominal=False)
     names = ["min_power", "cruise", "max_speed"]
     assert list(compared.gaits) == [each for name in names for each in (name, f"level_{name}")]
     level = compared.gaits["level_cruise"]
-    designed = make_plan(ParameterFile(), quick, 1).gaits["cruise"]
+    designed = make_plan(ParameterFile(), QUICK, 1).gaits["cruise"]
     assert level.gait == designed.gait
     assert level.nominal_speed < designed.nominal_speed  # predicted under the load
     assert compared.gaits["cruise"].nominal_speed > level.nominal_speed
@@ -80,9 +70,6 @@ def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
     assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
     # the recorder starts without waiting for these topics
     assert left_out(recorder) == "^/worm/camera/"
-
-
-# --- interrupted campaign ----------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.travel_error import PRIOR
 from worm_msgs.robot_parameters import TravelError
-from worm_optimizer.evaluation.task import MarginTask
+from worm_optimizer.evaluation.task import MarginTask, Points
 from worm_optimizer.robustness import uncertainty
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.prediction import stroke_to_ends, success_probability
@@ -18,6 +18,7 @@ from worm_optimizer.robustness.prediction import stroke_to_ends, success_probabi
 EXACT = TravelError(0.0, 0.0)  # a robot that is the model
 FILE = ParameterFile(travel_error=EXACT)
 PITCH = PAPER.pitch
+NOMINAL = MarginTask()
 FEW = 5  # frequencies of a front whose gaits are evaluated in many scenarios
 
 
@@ -31,13 +32,17 @@ def phases_of(scenarios: uncertainty.Scenarios) -> np.ndarray:
     )
 
 
+def success_of(
+    front: Points, scenarios: uncertainty.Scenarios, task: MarginTask = NOMINAL
+) -> np.ndarray:
+    """Return the success probability of each gait of a front."""
+    return success_probability(task, front.stroke, front.frequency, front.count // 3, scenarios)
+
+
 def any_phase_task() -> PromiseTask:
     return PromiseTask(
         MarginTask(margin=uncertainty.phase_guard(PAPER)), uncertainty.every_phase(PAPER), 1.0
     )
-
-
-# --- draws ----------------------------------------------------------------------------------------
 
 
 def test_draws_have_the_stated_widths():
@@ -150,23 +155,11 @@ def test_wide_intervals_stay_admissible():
     assert 0.0 < probability[0] < 1.0
 
 
-# --- the paper's claim ----------------------------------------------------------------------------
-
-
 def test_nominal_gaits_are_fragile_and_robust_ones_are_not():
-    nominal, robust = MarginTask(), MarginTask(margin=3.4e-3)
+    robust = MarginTask(margin=3.4e-3)
     scenarios = uncertainty.phase_known(FILE, 200, seed=1)
-    success = []
-    for task in (nominal, robust):
-        front = coarse_front(task).front
-        success.append(
-            success_probability(task, front.stroke, front.frequency, front.count // 3, scenarios)
-        )
-    assert success[0].max() < 0.7
-    assert success[1].min() > 0.99
-
-
-# --- edges ----------------------------------------------------------------------------------------
+    assert success_of(coarse_front(NOMINAL).front, scenarios).max() < 0.7
+    assert success_of(coarse_front(robust).front, scenarios, robust).min() > 0.99
 
 
 def test_the_branch_ends_at_the_computed_distances():
@@ -183,29 +176,18 @@ def test_the_branch_ends_at_the_computed_distances():
     assert np.all(nominal.grooves(stroke + upper + hair, frequency)[inside] != branch[inside])
 
 
-# --- promises -------------------------------------------------------------------------------------
-
-
 def test_any_phase_gaits_keep_their_promise_at_phases_that_they_were_not_made_with():
     front = coarse_front(any_phase_task(), FEW).front
     assert set((front.count // 3).tolist()) == {1, 2}
     phase = np.linspace(-0.5, 0.5, 500) * PITCH
     other = uncertainty.Scenarios({"initial_length": PAPER.initial_length + phase})
-    gaits = front.stroke, front.frequency, front.count // 3
-    assert success_probability(MarginTask(), *gaits, other).min() == 1.0
+    assert success_of(front, other).min() == 1.0
 
 
 def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
-    task = MarginTask()
-    promise = PromiseTask(task, uncertainty.phase_known(FILE, 200, seed=7), 0.9)
+    promise = PromiseTask(MarginTask(), uncertainty.phase_known(FILE, 200, seed=7), 0.9)
     front = coarse_front(promise, FEW).front
-    kept = success_probability(
-        task,
-        front.stroke,
-        front.frequency,
-        front.count // 3,
-        uncertainty.phase_known(FILE, 300, seed=8),
-    )
+    kept = success_of(front, uncertainty.phase_known(FILE, 300, seed=8))
     assert kept.min() > 0.82  # 200 draws give 0.9 to within 0.02, one standard deviation
     assert np.median(kept) > 0.86
 

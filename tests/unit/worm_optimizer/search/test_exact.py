@@ -58,12 +58,7 @@ def test_no_gait_of_a_dense_grid_is_cheaper(seed, margin, direction):
 
 
 @examples(5)
-@given(
-    st.integers(0, 10_000),
-    st.floats(20.0, 120.0),
-    st.floats(3.0, 30.0),
-    st.floats(0.02, 0.12),
-)
+@given(st.integers(0, 10_000), st.floats(20.0, 120.0), st.floats(3.0, 30.0), st.floats(0.02, 0.12))
 def test_no_gait_of_a_dense_grid_within_the_limits_is_cheaper(seed, force, power, speed):
     limits = ActuatorLimits(speed, force, power, stall_force=1.5 * force, no_load_speed=3.0 * speed)
     task = MarginTask(random_robot(seed), limits=limits)

@@ -14,32 +14,35 @@ from random_cases import examples
 from worm_model.errors import InputError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.search import gait_request
 from worm_optimizer.search.front import make_front
+from worm_optimizer.search.gait_request import (
+    GaitRequest,
+    Objective,
+    RequestStatus,
+    request_of,
+    resting_content,
+    select,
+)
 
 FRONT = small_front()
 SLOWEST, FASTEST = FRONT.three["min_power"], FRONT.three["max_speed"]
 
 
 def at_speed(speed: float):
-    return gait_request.select(
-        FRONT, gait_request.GaitRequest(gait_request.Objective.MIN_POWER_AT_SPEED, speed)
-    )
+    return select(FRONT, GaitRequest(Objective.MIN_POWER_AT_SPEED, speed))
 
 
 def at_power(power: float):
-    return gait_request.select(
-        FRONT, gait_request.GaitRequest(gait_request.Objective.MAX_SPEED_AT_POWER, power)
-    )
+    return select(FRONT, GaitRequest(Objective.MAX_SPEED_AT_POWER, power))
 
 
 def test_the_three_gaits_are_the_best_of_the_front():
     for objective, key, sign in (
-        (gait_request.Objective.MIN_POWER, "power", 1),
-        (gait_request.Objective.CRUISE, "cost_of_transport", 1),
-        (gait_request.Objective.MAX_SPEED, "speed", -1),
+        (Objective.MIN_POWER, "power", 1),
+        (Objective.CRUISE, "cost_of_transport", 1),
+        (Objective.MAX_SPEED, "speed", -1),
     ):
-        gait = gait_request.select(FRONT, gait_request.GaitRequest(objective)).prediction
+        gait = select(FRONT, GaitRequest(objective)).prediction
         best = min(sign * getattr(each, key) for each in FRONT.gaits)
         assert sign * getattr(gait, key) == pytest.approx(best, rel=1e-12)
 
@@ -55,7 +58,7 @@ def test_the_issues_request_is_exact():
 @given(st.floats(SLOWEST.speed, FASTEST.speed))
 def test_the_lowest_power_at_a_reachable_speed(speed):
     answer = at_speed(speed)
-    assert answer.status is gait_request.RequestStatus.DONE
+    assert answer.status is RequestStatus.DONE
     assert answer.prediction.speed >= speed * (1.0 - 1e-9)
     fast_enough = [gait.power for gait in FRONT.gaits if gait.speed >= speed]
     assert answer.prediction.power <= min(fast_enough, default=math.inf) * (1.0 + 1e-9)
@@ -65,7 +68,7 @@ def test_the_lowest_power_at_a_reachable_speed(speed):
 @given(st.floats(SLOWEST.power * 1.001, FASTEST.power * 1.2))
 def test_the_highest_speed_at_a_sufficient_power(power):
     answer = at_power(power)
-    assert answer.status is gait_request.RequestStatus.DONE
+    assert answer.status is RequestStatus.DONE
     assert answer.prediction.power <= power * (1.0 + 1e-9)
     affordable = [gait.speed for gait in FRONT.gaits if gait.power <= power]
     assert answer.prediction.speed >= max(affordable) * (1.0 - 1e-9)
@@ -77,11 +80,11 @@ def test_a_speed_of_zero_requests_the_lowest_power():
 
 def test_the_unreachable_is_rejected_with_the_nearest():
     fast = at_speed(0.02)
-    assert fast.status is gait_request.RequestStatus.UNREACHABLE
+    assert fast.status is RequestStatus.UNREACHABLE
     assert "0.02 m/s" in fast.message
     assert fast.prediction == FASTEST
     frugal = at_power(1.0)
-    assert frugal.status is gait_request.RequestStatus.UNREACHABLE
+    assert frugal.status is RequestStatus.UNREACHABLE
     assert f"{SLOWEST.power:.6g} W" in frugal.message
     assert frugal.prediction == SLOWEST
 
@@ -98,20 +101,16 @@ def test_the_unreachable_is_rejected_with_the_nearest():
 )
 def test_a_request_of_impossible_values_is_rejected(values, named):
     with pytest.raises(InputError, match=named):
-        gait_request.request_of(*values)
-    assert gait_request.request_of(1, math.nan, -1.0).objective is gait_request.Objective.CRUISE
+        request_of(*values)
+    assert request_of(1, math.nan, -1.0).objective is Objective.CRUISE
 
 
 def test_the_reverse_front_answers_in_its_direction():
-    gait = gait_request.select(
-        small_front(3.4e-3, -1), gait_request.GaitRequest(gait_request.Objective.CRUISE)
-    ).prediction
+    gait = select(small_front(3.4e-3, -1), GaitRequest(Objective.CRUISE)).prediction
     assert gait.direction == -1
     assert gait.power == pytest.approx(FRONT.three["cruise"].power, rel=1e-6)
     assert np.sign(gait.speed) == 1.0
 
-
-# --- a robot at rest at another length ------------------------------------------------------
 
 CONTENT = ParameterFile()
 SETTINGS = dataclasses.replace(QUICK, margin=0.002)
@@ -120,7 +119,7 @@ SETTINGS = dataclasses.replace(QUICK, margin=0.002)
 @pytest.mark.parametrize("shift", [-0.006, -0.002, 0.003, 0.007])
 def test_the_gait_gains_with_its_margin_what_is_promised_at_the_phase_of_the_robot(shift):
     length = PAPER.initial_length + shift
-    here = gait_request.resting_content(CONTENT, length)
+    here = resting_content(CONTENT, length)
     gait = make_front(here, SETTINGS, 1).three["cruise"]
     resting = evaluate_gait(gait.gait, PAPER.replace(initial_length=length))
     assert gait.margin == 0.002
@@ -132,4 +131,4 @@ def test_the_gait_gains_with_its_margin_what_is_promised_at_the_phase_of_the_rob
 
 @pytest.mark.parametrize("length", [0.0, PAPER.initial_length, PAPER.initial_length + 9e-5])
 def test_the_phase_of_the_parameters_changes_nothing(length):
-    assert gait_request.resting_content(CONTENT, length) is CONTENT
+    assert resting_content(CONTENT, length) is CONTENT

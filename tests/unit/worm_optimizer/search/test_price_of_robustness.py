@@ -70,12 +70,9 @@ def test_the_lowest_cost_is_that_of_the_exact_front(seed, margin):
     assert found.cost_of_transport == pytest.approx(best, rel=2e-5)
 
 
-def test_a_dearer_optimum_on_a_kept_branch_is_no_cliff():
+def test_no_cliff_is_a_dearer_optimum_on_a_kept_branch_nor_a_lost_branch_that_costs_little():
     assert find_cliff(TASK, [point(0.0, 50.0, 2), point(1e-3, 80.0, 2)]) is None
     assert find_cliff(TASK, [point(0.0, 50.0, 2), point(1e-3, 80.0, 1, 1, 2)]) is None
-
-
-def test_a_lost_branch_that_costs_little_is_no_cliff():
     assert find_cliff(TASK, [point(0.0, 52.5, 3), point(1e-3, 55.8, 2)]) is None
 
 
@@ -96,17 +93,11 @@ def test_a_step_to_standing_still_is_a_cliff():
     assert (scan(short, np.array([price.cliff.margin]))[0].branch) == 1
 
 
-def priced(*points: MarginPoint) -> PriceOfRobustness:
-    return PriceOfRobustness(points, None, 3.4e-3, 1.1e-3)
-
-
-def test_without_a_cliff_the_greatest_moving_margin_is_chosen():
-    assert priced(point(0.0, 50.0, 2), point(1e-3, 51.0, 2)).margin == 1e-3
-
-
-def test_a_scan_in_which_nothing_moves_has_no_margin_to_choose():
+def test_without_a_cliff_the_greatest_moving_margin_is_chosen_if_there_is_one():
+    moving = (point(0.0, 50.0, 2), point(1e-3, 51.0, 2))
+    assert PriceOfRobustness(moving, None, 3.4e-3, 1.1e-3).margin == 1e-3
     with pytest.raises(InputError, match="no gait within the bounds moves at any margin"):
-        _ = priced(STILL).margin
+        _ = PriceOfRobustness((STILL,), None, 3.4e-3, 1.1e-3).margin
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,14 @@ import random
 import shutil
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import dask
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
+from waiting import wait_for
 from worker_jobs import double, murder, reject, suicide
 
 from worm_model.errors import InputError
@@ -92,13 +92,6 @@ def test_an_error_of_the_work_is_passed_on(cluster, tmp_path):
         found(task(reject), tmp_path / "out.nc", Workers(cluster.scheduler_address))
 
 
-def until(condition: Callable[[], object], seconds: float = 120.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.05)
-
-
 @contextlib.contextmanager
 def process(name: str, *arguments: str, cwd: Path, path: str) -> Iterator[subprocess.Popen]:
     """Start a scheduler or a worker, and kill it at the end."""
@@ -121,7 +114,7 @@ def test_a_killed_scheduler_is_reported_and_its_blocks_remain(tmp_path, cluster)
     with process(
         "dask_scheduler", "--port", "0", "--scheduler-file", str(file), cwd=tmp_path, path=path
     ) as scheduler:
-        until(file.exists)
+        wait_for(file.exists)
         address = json.loads(file.read_text())["address"]
 
         def kill_after_the_first(done: float) -> None:

@@ -118,10 +118,7 @@ WRONG: list[tuple[list[str], dict[str, object]]] = [
     (["vary: slack", "list"], {"vary": {"slack": {"from": 0.0}}}),
     (["vary: slack", "twice"], {"vary": {"slack": [0.001, 0.001]}}),
     (["vary: slack", "8 m", "0 to 0.1 m"], {"vary": {"slack": [0.004, 8.0]}}),
-    (
-        ["vary: slack: count", "2.5"],
-        {"vary": {"slack": {"from": 0.0, "to": 0.01, "count": 2.5}}},
-    ),
+    (["vary: slack: count", "2.5"], {"vary": {"slack": {"from": 0.0, "to": 0.01, "count": 2.5}}}),
     (["vary: slack: range", "-0.1 m", "0 to 0.1 m"], {"vary": {"slack": {"range": [-0.1, 0.1]}}}),
     (["fixed: margin_m", "3.4 m", "0 to 0.1 m"], {"fixed": {"margin_m": 3.4}}),
     (["max_ramp_share", "waveform: shaped"], {"vary": {"max_ramp_share": [0.1, 0.2]}}),

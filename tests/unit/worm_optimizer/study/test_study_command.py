@@ -6,12 +6,12 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 import xarray
 from study_cases import SMALL
+from waiting import wait_for
 
 from worm_model.parameters import KEYS as KEYS_OF_ROBOT
 from worm_optimizer.commands import study as command
@@ -33,10 +33,7 @@ def test_a_killed_study_continues_with_the_same_values(tmp_path, run, cluster):
     killed = subprocess.Popen(
         [sys.executable, "-c", COMMAND, *arguments], stderr=subprocess.DEVNULL
     )
-    deadline = time.monotonic() + 120.0
-    while not list(tmp_path.glob("s.nc.blocks/*.npz")) and killed.poll() is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(lambda: [*tmp_path.glob("s.nc.blocks/*.npz")] or killed.poll() is not None)
     os.kill(killed.pid, signal.SIGKILL)
     killed.wait()
     status, out, _ = run(command, *arguments)

@@ -24,11 +24,6 @@ class Bench:
             self.chip.advance(self.steps * STEP, self.shunt, self.bus)
 
 
-def test_power_up():
-    chip = Bench().chip
-    assert [chip.read(register) for register in range(6)] == [0x399F, 0, 0, 0, 0, 0]
-
-
 def test_twelve_volts_are_the_data_sheets_bits():
     bench = Bench(bus=12.0)
     bench.run(0.01)
@@ -79,20 +74,20 @@ def test_overflow_is_of_the_arithmetic_not_of_the_converter():
     bench = Bench(shunt=0.5)
     bench.chip.write(ina219_chip.CALIBRATION, 4194)
     bench.run(0.01)
-    assert (
-        not bench.chip.read(ina219_chip.BUS) & OVERFLOW
-    )  # 32765 still fits: the clipped value looks valid
+    # 32765 still fits: the clipped value looks valid
+    assert not bench.chip.read(ina219_chip.BUS) & OVERFLOW
     bench.chip.write(ina219_chip.CALIBRATION, 4200)
     assert bench.chip.read(ina219_chip.BUS) & OVERFLOW
 
 
 def test_reset_forgets_everything():
-    bench = Bench(shunt=0.1)
+    bench, registers = Bench(shunt=0.1), [0x399F, 0, 0, 0, 0, 0]
+    assert [bench.chip.read(register) for register in range(6)] == registers  # at power-up
     bench.chip.write(ina219_chip.CALIBRATION, 4096)
     bench.chip.write(ina219_chip.CONFIGURATION, 0x1DDF)
     bench.run(0.01)
     bench.chip.write(ina219_chip.CONFIGURATION, 0x8000)
-    assert [bench.chip.read(register) for register in range(6)] == [0x399F, 0, 0, 0, 0, 0]
+    assert [bench.chip.read(register) for register in range(6)] == registers
 
 
 def test_averaging_quietens_the_noise():

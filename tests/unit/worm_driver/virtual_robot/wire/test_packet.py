@@ -50,13 +50,6 @@ def test_a_packet_with_its_checksum_behind_it_leaves_no_remainder(data):
     assert crc16(data + crc16(data).to_bytes(2, "big")) == 0
 
 
-@given(tricky, st.integers(0, 252))
-def test_an_instruction_is_read_back(parameters, servo_id):
-    reader = InstructionReader(allowed_gap=1.0)
-    packet = instruction_packet(servo_id, Instruction.WRITE, parameters)
-    assert reader.feed(packet, 0.0) == [Packet(servo_id, Instruction.WRITE, parameters)]
-
-
 @given(st.lists(tricky, min_size=1, max_size=4), st.binary(max_size=6), st.data())
 def test_packets_are_found_however_the_stream_is_cut(bodies, noise, data):
     stream = noise.replace(b"\xff", b"\x00") + b"".join(

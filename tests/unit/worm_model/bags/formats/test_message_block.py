@@ -7,12 +7,7 @@ from itertools import chain, pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_model.bags.formats.message_block import (
-    Message,
-    Topic,
-    merge,
-    messages_of,
-)
+from worm_model.bags.formats.message_block import Message, Topic, merge, messages_of
 
 TIMES = st.integers(0, 6) | st.integers(0, 2**64 - 1)
 TOPICS = [Topic(name, "a/msg/B", 0, f"# {i}", "ros2msg", "cdr") for i, name in enumerate("xyx")]

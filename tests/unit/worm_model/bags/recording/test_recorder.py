@@ -12,7 +12,6 @@ from rosbags.interfaces import QosDurability, QosReliability
 
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Topic
-from worm_model.bags.formats.stored_file import AttachedFile
 from worm_model.bags.recording.recorder import BagRecorder, Manifest
 
 NOW = 1_800_000_000_000_000_000
@@ -37,8 +36,8 @@ def payload(value: int) -> bytes:
     return b"\x00\x01\x00\x00" + struct.pack("<Q", value)
 
 
-def record(directory: Path, count: int = 10, **manifest) -> BagRecorder:
-    recorder = BagRecorder(directory, Manifest(**manifest))
+def record(directory: Path, count: int = 10) -> BagRecorder:
+    recorder = BagRecorder(directory, Manifest())
     for i in range(count):
         recorder.write(TOPIC if i % 2 else OTHER, payload(i), NOW + i * 10**8, NOW + i * 10**8 - 5)
     return recorder
@@ -53,7 +52,7 @@ def metadata(directory: Path) -> dict:
     return yaml.safe_load((directory / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
 
 
-def test_rosbags_reads_back_what_was_recorded(tmp_path: Path):
+def test_independent_readers_read_back_what_was_recorded(tmp_path: Path):
     record(tmp_path / "bag").close()
     with AnyReader([tmp_path / "bag"]) as reader:  # checks the type hash, too
         assert reader.message_count == 10
@@ -63,10 +62,6 @@ def test_rosbags_reads_back_what_was_recorded(tmp_path: Path):
     assert offered["/other"] == []
     assert offered["/counter"][0].durability == QosDurability.TRANSIENT_LOCAL
     assert offered["/counter"][0].reliability == QosReliability.RELIABLE
-
-
-def test_mcap_ros2_decodes_it_without_ros(tmp_path: Path):
-    record(tmp_path / "bag").close()
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         assert reader.get_header().profile == "ros2"
@@ -83,24 +78,3 @@ def test_metadata_exists_from_the_start_and_shows_the_state(tmp_path: Path):
     assert metadata(tmp_path / "bag")["custom_data"] == {"state": "being recorded"}
     recorder.close()
     assert metadata(tmp_path / "bag")["custom_data"] == {"state": "closed"}
-
-
-def records(path: Path) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
-    with path.open("rb") as stream:
-        reader = make_reader(stream)
-        found = {record.name: record.metadata for record in reader.iter_metadata()}
-        return found, {a.name: a.data for a in reader.iter_attachments()}
-
-
-def test_the_manifest_is_in_the_file(tmp_path: Path):
-    recorder = record(
-        tmp_path / "bag",
-        metadata={"worm_run": {"seed": "4"}},
-        attachments=(AttachedFile("parameters.yaml", "application/yaml", b"pitch: 0.0173\n"),),
-    )
-    recorder.add_metadata("worm_gait", {"stroke": "0.07"})
-    recorder.close()
-    found, attachments = records(tmp_path / "bag" / "bag_0.mcap")
-    assert found["worm_run"] == {"seed": "4"}
-    assert found["worm_gait"] == {"stroke": "0.07"}
-    assert attachments == {"parameters.yaml": b"pitch: 0.0173\n"}

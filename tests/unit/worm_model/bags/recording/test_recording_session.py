@@ -11,11 +11,7 @@ from worm_model.bags.formats.finding import dated
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.recorder import Manifest
-from worm_model.bags.recording.recording_session import (
-    BACKLOG_BYTES,
-    RecordingSession,
-    after_crash,
-)
+from worm_model.bags.recording.recording_session import BACKLOG_BYTES, RecordingSession, after_crash
 
 TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
 LATCHED = Topic(

@@ -60,16 +60,13 @@ def test_the_initial_length_is_what_the_camera_saw_at_rest(folder: Path):
     assert read_lab_run(folder, SETTINGS).initial_length == SETTINGS.fallback_length
 
 
-def test_missing_markers_stay_missing(folder: Path):
+def test_missing_markers_and_readings_stay_missing(folder: Path):
     run = read_lab_run(folder, SETTINGS).run
     assert np.isnan(run.tracker.rear_position).tolist() == [False, True, False, False, False]
     assert np.isnan(run.tracker.front_position).tolist() == [False, False, False, False, True]
     assert seconds(run.measured.stamp) == [0.1, 1.5, 2.5]
     np.testing.assert_allclose(run.measured.length, [0.295, 0.297, 0.279])
-
-
-def test_a_power_line_without_a_reading_is_no_reading(folder: Path):
-    power = read_lab_run(folder, SETTINGS).run.power
+    power = run.power
     assert (power.status == POWER_VALID).tolist() == [True, False, True]
     np.testing.assert_allclose(power.power, [1.2, math.nan, 2.2])
 
