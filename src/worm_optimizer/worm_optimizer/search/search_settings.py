@@ -36,7 +36,7 @@ PARAMETER_FILE = "parameter_file"
 
 @dataclass(frozen=True)
 class ScanSettings:
-    """Margins of a margin scan: from ``lowest`` to ``highest`` in steps of ``step``, all in m."""
+    """Margins of a margin scan: from the lowest to the highest in equal steps."""
 
     lowest: Annotated[float, key("lowest_m")] = 0.0
     highest: Annotated[float, key("highest_m")] = 8e-3
