@@ -8,17 +8,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from commander import (
-    ABORTED,
-    SERVOS,
-    SUCCEEDED,
-    parameters,
-    run_into_a_gait,
-    stamp,
-    torques,
-)
+from commander import ABORTED, SERVOS, SUCCEEDED, parameters, run_into_a_gait, stamp, torques
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness import LATCHED, TIMEOUT_S
+from harness import LATCHED, TIMEOUT_S, ros_arguments
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import ReliabilityPolicy
@@ -81,45 +73,6 @@ def test_stop_is_served_while_a_deactivation_returns_to_rest(start, commander, p
     assert not probe.result(changed, "answer to the deactivation").success
     assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
     assert "stop was called" in commander.states[-1].message
-
-
-# --- measured rest, holds, several cable servos ----------------------------------------------------------
-
-
-def test_a_slow_cable_is_at_rest_before_a_deactivation_releases_it(start, commander, probe):
-    driver = start(**{"limits.max_cable_speed_m_per_s": 0.02})
-    cable = probe.collect(BodyLength, "body_length/cable")
-    commander.activate()
-    commander.send(stroke=0.04, frequency=0.15)
-    probe.wait_for(lambda: cable and cable[-1].length_change < -0.03, "contraction")
-    assert commander.trigger("stop").success
-    assert commander.change(Transition.TRANSITION_DEACTIVATE)
-    released = len(cable)
-    probe.wait_for(lambda: len(cable) > released + 20, "cable after the release")
-    assert cable[-1].length_change > -0.002
-    assert "[ERROR]" not in driver.output()
-
-
-def test_an_emergency_stop_that_is_repeated_moves_nothing(driver, commander, probe):
-    cable = run_into_a_gait(commander, probe)
-    commanded = probe.collect(BodyLength, "body_length/commanded")
-    publisher = probe.node.create_publisher(Bool, "emergency_stop", 10)
-    probe.wait_for(publisher.get_subscription_count, "subscription to the emergency stop")
-    publisher.publish(Bool(data=True))
-    probe.wait_for(lambda: commander.states[-1].holding, "hold")
-    cable.clear()
-    probe.wait_for(lambda: len(cable) > 100, "a second of rest")
-    held = cable[-1].length_change
-    commanded.clear()
-    for _ in range(30):
-        publisher.publish(Bool(data=True))
-        cable.clear()
-        probe.wait_for(lambda: len(cable) > 5, "further samples")
-    assert len({message.length_change for message in commanded}) == 1
-    assert cable[-1].length_change == pytest.approx(held, abs=5e-4)
-
-
-# --- ways to end --------------------------------------------------------------------------------------
 
 
 def test_ctrl_c_brings_the_gait_to_rest_and_releases(driver, commander, probe, directory):
@@ -208,10 +161,7 @@ sys.exit(executables.driver_node(sys.argv))
 
 def start_script(processes, path: Path, text: str, given: dict[str, object]):
     path.write_text(text)
-    ros = ["--ros-args", "-r", "__ns:=/worm"]
-    for key, value in given.items():
-        ros += ["-p", f"{key}:={value}"]
-    return processes.start("sabotaged", [sys.executable, str(path), *ros])
+    return processes.start("sabotaged", [sys.executable, str(path), *ros_arguments(**given)])
 
 
 def test_a_deactivation_that_fails_closes_and_releases_all_the_same(
@@ -262,9 +212,6 @@ def test_after_a_kill_the_servos_stop_by_themselves_and_a_new_driver_takes_over(
     robot.start_driver(autostart="true")
     commander.wait_for_state(GaitState.IDLE, "second driver")
     assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
-
-
-# --- parameters ------------------------------------------------------------------
 
 
 def test_a_user_may_change_the_quality_of_service_of_telemetry(start, commander, probe):

@@ -28,10 +28,7 @@ class Stops:
     """The stop services of a driver that has opened nothing, and its clients."""
 
     def __init__(
-        self,
-        probe: Probe,
-        folder: Path,
-        on_heartbeat: Callable[[Heartbeat], None] = lambda _: None,
+        self, probe: Probe, folder: Path, on_heartbeat: Callable[[Heartbeat], None] = lambda _: None
     ) -> None:
         self.probe = probe
         self.latch = EmergencyLatch(folder)

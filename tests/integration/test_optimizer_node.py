@@ -6,13 +6,14 @@ import math
 import pytest
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness import NAMESPACE, TIMEOUT_S, Probe, Processes
+from harness import TIMEOUT_S, Probe, Processes
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait
 from worm_msgs.srv import RequestGait
+from worm_optimizer.operation.processes import Process
 
 KINDS = {"optimize_gaits": OptimizeGaits, "scan_margin": ScanMargin}
 SMALL = {"scan_highest_m": 0.004, "scan_step_m": 0.001, "samples": 20}
@@ -20,12 +21,8 @@ SMALL = {"scan_highest_m": 0.004, "scan_step_m": 0.001, "samples": 20}
 
 @pytest.fixture
 def start(processes: Processes):
-    def start(name: str = "optimizer", **parameters):
-        settings = {**SMALL, **parameters}
-        arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
-        for key, value in settings.items():
-            arguments += ["-p", f"{key}:={value}"]
-        return processes.start_executable("worm_optimizer", "optimizer_node", *arguments, name=name)
+    def start(**parameters: object) -> Process:
+        return processes.start_node("worm_optimizer", "optimizer_node", **SMALL, **parameters)
 
     return start
 

@@ -6,7 +6,6 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from commander import (
@@ -22,7 +21,7 @@ from commander import (
     torques,
 )
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness import LATCHED, NAMESPACE, TIMEOUT_S, Processes
+from harness import LATCHED, TIMEOUT_S, ros_arguments
 from lifecycle_msgs.msg import State, Transition
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
@@ -57,16 +56,6 @@ def driver(robot, commander: Commander) -> Iterator[Process]:
         assert commander.change(Transition.TRANSITION_CLEANUP)
 
 
-def start_other(
-    processes: Processes, directory: Path, namespace: str = "/other", **changes: object
-) -> Process:
-    """Start a further driver on the robot."""
-    ros = ["--ros-args", "-r", f"__ns:={namespace}"]
-    for key, value in parameters(directory, **changes).items():
-        ros += ["-p", f"{key}:={value}"]
-    return processes.start_executable("worm_driver", "driver_node", *ros, name="other")
-
-
 # --- wrong configuration ------------------------------------------------------------------------------
 
 
@@ -86,10 +75,8 @@ def start_other(
     ids=["port", "bus", "address", "id", "baud rate", "sign", "lengths", "time", "range"],
 )
 def test_a_wrong_configuration_is_reported_in_one_line(directory, capfd, change, expected):
-    arguments = ["driver_node", "--ros-args", "-r", "__ns:=/other"]
-    for key, value in parameters(directory, autostart="true", **change).items():
-        arguments += ["-p", f"{key}:={value}"]
-    assert executables.driver_node(arguments) in (1, 2)
+    given = parameters(directory, autostart="true", **change)
+    assert executables.driver_node(["driver_node", *ros_arguments("/other", **given)]) in (1, 2)
     output = capfd.readouterr().err
     assert re.search(f"^driver: .*{expected}", output, re.MULTILINE)
     assert "Traceback" not in output
@@ -174,6 +161,7 @@ def test_diagnostics_name_every_part(driver, commander, probe):
     )
     names = {f"worm/driver: {part}" for part in parts}
     probe.wait_for(lambda: set(latest()) == names, "report on every part")
+    commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
     for part in ("gait", "servo 1", "servo 11", "servo 12", "power sensor"):
         commander.wait_for_report(f"worm/driver: {part}", DiagnosticStatus.OK, "")
     timing = {value.key: value.value for value in latest()["worm/driver: timing"].values}
@@ -318,7 +306,8 @@ def test_a_second_driver_in_the_namespace_ends_before_it_serves_anything(
     """It needs no discovery: here it cannot discover any other process."""
     commander.activate()
     processes._env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
-    second = start_other(processes, directory, NAMESPACE, autostart="true", port="/dev/none")
+    given = parameters(directory, autostart="true", port="/dev/none")
+    second = processes.start_node("worm_driver", "driver_node", **given)
     assert second.wait(TIMEOUT_S) == 2
     second.wait_for_line(f"/worm has a driver already, process {driver.pid} ", TIMEOUT_S)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
@@ -331,10 +320,6 @@ def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
     calls = [client.call_async(Trigger.Request()) for _ in range(1000)]
     probe.wait_for(lambda: all(call.done() for call in calls), "answer to every stop")
     assert all(call.result().success for call in calls)
-
-
-def test_diagnostics_report_which_computers_can_discover_the_driver(driver, commander):
-    commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
 
 
 @pytest.mark.night

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from commander import parameters
-from harness import NAMESPACE, TIMEOUT_S
+from harness import TIMEOUT_S, ros_arguments
 from lifecycle_msgs.msg import State, Transition
 
 from worm_driver.power.socket_smbus import SocketSMBus
@@ -108,9 +108,6 @@ def test_a_directory_in_use_is_rejected_and_ctrl_c_leaves_nothing_behind(
     assert list(directory.iterdir()) == []
 
 
-# --- drivers of robots with other settings ------------------------------------------------------------
-
-
 def test_cables_of_different_lengths_are_named_and_not_activated(
     processes, commander, probe, tmp_path
 ):
@@ -169,10 +166,7 @@ def test_an_activation_that_takes_too_long_ends_inactive_and_released(
     )
     robot.wait_for_line("^ready: ", TIMEOUT_S)
     given = parameters(directory, **{"bus_watchdog_s": 1.0, "limits.max_silence_s": 0.8})
-    ros = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
-    for key, value in given.items():
-        ros += ["-p", f"{key}:={value}"]
-    processes.start("slow", [sys.executable, "-c", _SLOW, *ros])
+    processes.start("slow", [sys.executable, "-c", _SLOW, *ros_arguments(**given)])
     assert commander.change(Transition.TRANSITION_CONFIGURE)
     assert not commander.change(Transition.TRANSITION_ACTIVATE)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE

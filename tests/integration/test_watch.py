@@ -3,10 +3,7 @@
 
 import signal
 
-import pytest
 from harness import Probe, Processes
-
-pytest.importorskip("rclpy", reason="no ROS is installed")
 
 from worm_msgs.msg import BodyLength, Power, Tracker, TwinResiduals, TwinState
 

@@ -4,8 +4,9 @@
 tests/integration/test_graph.py compares the tables of topics, services and actions with the running nodes.
 """
 
-import importlib.util
 import re
+import runpy
+from types import SimpleNamespace
 
 from interfaces_page import PAGE, ROOT, rows_of
 
@@ -15,11 +16,7 @@ from worm_model.twin import twin_settings
 from worm_model.twin.twin_settings import DEFAULTS
 from worm_optimizer.search import search_settings
 
-_SPEC = importlib.util.spec_from_file_location("generator", ROOT / "docs/generate_interfaces.py")
-assert _SPEC is not None
-assert _SPEC.loader is not None
-GENERATOR = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(GENERATOR)
+GENERATOR = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/generate_interfaces.py")))
 
 
 def test_the_generated_parts_are_up_to_date():

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The JSON Schemas of the settings files are up to date, and the files of this repository name them."""
 
-import importlib.util
+import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-_SPEC = importlib.util.spec_from_file_location("schemas", ROOT / "docs/generate_schemas.py")
-assert _SPEC is not None
-assert _SPEC.loader is not None
-GENERATOR = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(GENERATOR)
+GENERATOR = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/generate_schemas.py")))
 MODELINE = "# yaml-language-server: $schema="
 FILES = [
     path

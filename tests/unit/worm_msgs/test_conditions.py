@@ -41,11 +41,7 @@ def by_the_file_of_the_virtual_robot(values, tmp_path):
     return load_settings(path).conditions
 
 
-USERS = (
-    by_the_model,
-    by_the_options_of_the_virtual_robot,
-    by_the_file_of_the_virtual_robot,
-)
+USERS = (by_the_model, by_the_options_of_the_virtual_robot, by_the_file_of_the_virtual_robot)
 
 
 @pytest.mark.parametrize("user", USERS)

@@ -40,9 +40,6 @@ def stamps(seconds):
     return EPOCH + np.round(np.asarray(seconds) * 1e9).astype(np.int64)
 
 
-# --- averaged cycles ------------------------------------------------------------------------------
-
-
 def test_the_last_three_of_five_cycles_are_averaged():
     states = gait_states([INACTIVE, RESTING, RUNNING, RUNNING], [0, 0, EPOCH, EPOCH], 5)
     played = run_metrics.last_played_gait(states)
@@ -101,9 +98,6 @@ def test_a_recording_that_ends_before_the_gait_names_its_complete_cycles(cycles,
     assert f"{whole} of 3 cycles" in run_metrics.early_end(early, played)
 
 
-# --- separation of runs ---------------------------------------------------------------------------
-
-
 def test_runs_are_distinguished_by_their_number_however_their_onsets_lie():
     near = [EPOCH, EPOCH + 1, EPOCH + 2, EPOCH + 3]
     numbered = gait_states([RUNNING] * 4, near, 5, run=np.array([1, 1, 2, 2]))
@@ -126,9 +120,6 @@ def test_without_numbers_onsets_distinguish_runs():
     assert not states.run.any()
     assert [rows.tolist() for rows in states.rows_of_runs()] == [[0, 1], [2]]
     assert GaitStates().rows_of_runs() == []
-
-
-# --- rates ----------------------------------------------------------------------------------------
 
 
 def performance(
@@ -180,9 +171,6 @@ def test_a_recording_that_ends_too_early_is_rejected(name):
     window = run_metrics.Window(EPOCH, EPOCH + 20_000_000_000)
     with pytest.raises(run_metrics.RecordingError, match=f"no {name} over the averaged cycles"):
         performance(series["position of x1"], series["power"], window, 1)
-
-
-# --- the driver's metrics ---------------------------------------------------------------------------
 
 
 def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:

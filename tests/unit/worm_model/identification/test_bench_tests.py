@@ -86,9 +86,7 @@ def test_a_zero_that_is_off_moves_neither_clearance_nor_stiffness():
 
 @examples(25)
 @given(
-    clearance=st.floats(0.002, 0.015),
-    engaged=st.floats(900.0, 4000.0),
-    share=st.floats(0.1, 0.7),
+    clearance=st.floats(0.002, 0.015), engaged=st.floats(900.0, 4000.0), share=st.floats(0.1, 0.7)
 )
 def test_any_fin_is_found(clearance, engaged, share):
     fit = fit_fin(X, fin_force(X, clearance, engaged, share * engaged) + noise(6, 97, 0.01))

@@ -36,6 +36,10 @@ def estimates(values, half=1e-9):
     return [Estimate(v, v - half, v + half) for v in values]
 
 
+def chart(key: str, values, half=1e-9, file=PAPER_FILE) -> drift.Chart:
+    return drift.chart_of(key, estimates(values, half), file)
+
+
 def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
     """Return a recording of the virtual robot, an hour after the one before; ``gain`` multiplies its K."""
     settings = replace(load_settings(), seed=seed, recording=recording)
@@ -53,45 +57,45 @@ def test_limits_are_those_of_a_chart_for_individuals():
 
 
 def test_four_bags_give_no_limits_which_is_reported():
-    chart = drift.chart_of("gain", estimates([0.86, 0.85, 0.87, 0.5]), PAPER_FILE)
-    assert chart.state is drift.State.TOO_FEW
-    assert (chart.limits, chart.began, chart.advice) == (None, None, "")
+    found = chart("gain", [0.86, 0.85, 0.87, 0.5])
+    assert found.state is drift.State.TOO_FEW
+    assert (found.limits, found.began, found.advice) == (None, None, "")
 
 
 def test_limits_of_a_file_hold_for_a_single_bag():
     known = ParameterFile(PAPER, {"gain": (0.85, 0.87)})
-    assert drift.chart_of("gain", estimates([0.868], 0.01), known).state is drift.State.WITHIN
-    chart = drift.chart_of("gain", estimates([0.83], 0.01), known)
-    assert (chart.state, chart.began, chart.direction) == (drift.State.OUT, 0, -1)
-    assert "stretched" in chart.advice
-    reach = chart.limits.high - chart.limits.centre
+    assert chart("gain", [0.868], 0.01, file=known).state is drift.State.WITHIN
+    found = chart("gain", [0.83], 0.01, file=known)
+    assert (found.state, found.began, found.direction) == (drift.State.OUT, 0, -1)
+    assert "stretched" in found.advice
+    reach = found.limits.high - found.limits.centre
     assert reach == pytest.approx(3.0 * np.hypot(0.01, 0.01) / 1.959964, rel=1e-5)
 
 
 def test_a_single_bag_astray_is_named():
     values = [0.0078, 0.0079, 0.0078, 0.0077, 0.0078, 0.0079, 0.0078, 0.0110, 0.0078, 0.0079]
-    chart = drift.chart_of("slack", estimates(values), PAPER_FILE)
-    assert chart.state is drift.State.OUT
-    assert [(s.rule, s.first, s.last) for s in chart.signals] == [(drift.Rule.LIMIT, 7, 7)]
-    assert "re-tension" in chart.advice
+    found = chart("slack", values)
+    assert found.state is drift.State.OUT
+    assert [(s.rule, s.first, s.last) for s in found.signals] == [(drift.Rule.LIMIT, 7, 7)]
+    assert "re-tension" in found.advice
 
 
 def test_six_in_one_direction_are_a_trend_that_began_with_the_first_of_them():
     values = np.array([87.0, 90.0, 86.0, 87.0, 88.0, 89.0, 90.0, 91.0])
-    chart = drift.chart_of("viscous_friction", estimates(values), PAPER_FILE)
-    assert (chart.state, chart.began, chart.direction) == (drift.State.TRENDING, 2, 1)
-    five = drift.chart_of("viscous_friction", estimates(values[:-1]), PAPER_FILE)
+    found = chart("viscous_friction", values)
+    assert (found.state, found.began, found.direction) == (drift.State.TRENDING, 2, 1)
+    five = chart("viscous_friction", values[:-1])
     assert five.state is drift.State.WITHIN
 
 
 def test_a_drift_began_where_it_set_in_though_it_drags_the_mean_along():
     values = [0.865, 0.866, *(0.866 * 0.97**k for k in range(1, 7))]
-    chart = drift.chart_of("gain", estimates(values), PAPER_FILE)
-    assert {(s.rule, s.direction) for s in chart.signals} >= {
+    found = chart("gain", values)
+    assert {(s.rule, s.direction) for s in found.signals} >= {
         (drift.Rule.LIMIT, 1),
         (drift.Rule.LIMIT, -1),
     }
-    assert (chart.state, chart.began, chart.direction) == (drift.State.TRENDING, 1, -1)
+    assert (found.state, found.began, found.direction) == (drift.State.TRENDING, 1, -1)
 
 
 def test_eight_on_one_side_are_a_trend_only_beyond_what_the_file_leaves_open():
@@ -107,14 +111,8 @@ def test_eight_on_one_side_are_a_trend_only_beyond_what_the_file_leaves_open():
 
 def test_a_trend_within_the_uncertainty_of_a_bag_is_none():
     values = 90.0 + 0.1 * np.arange(6.0)
-    assert (
-        drift.chart_of("viscous_friction", estimates(values, 3.0), PAPER_FILE).state
-        is drift.State.WITHIN
-    )
-    assert (
-        drift.chart_of("viscous_friction", estimates(values, 0.1), PAPER_FILE).state
-        is not drift.State.WITHIN
-    )
+    assert chart("viscous_friction", values, 3.0).state is drift.State.WITHIN
+    assert chart("viscous_friction", values, 0.1).state is not drift.State.WITHIN
 
 
 def test_a_bag_without_an_estimate_is_skipped():

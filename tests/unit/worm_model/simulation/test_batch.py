@@ -61,9 +61,7 @@ def test_a_cycle_of_many_gaits_is_that_of_each() -> None:
 def test_shapes_broadcast_and_progress_reaches_one() -> None:
     seen: list[float] = []
     table = evaluate_gaits(
-        np.linspace(0.01, 0.09, 30)[:, np.newaxis],
-        np.linspace(0.08, 0.4, 20),
-        progress=seen.append,
+        np.linspace(0.01, 0.09, 30)[:, np.newaxis], np.linspace(0.08, 0.4, 20), progress=seen.append
     )
     assert table.speed.shape == (30, 20)
     assert len(seen) == -(-600 // CHUNK)

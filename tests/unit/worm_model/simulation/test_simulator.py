@@ -171,8 +171,7 @@ def test_a_finely_sampled_gait_gives_the_gaits_motion(seed: int) -> None:
     exact = simulate(gait, parameters, cycles=2).at(times)
     model = Locomotion(parameters, gait.direction, gait.margin)
     start = dataclasses.replace(
-        model.start(),
-        y_rate=parameters.front_mass / parameters.mass * float(exact.length_rate[0]),
+        model.start(), y_rate=parameters.front_mass / parameters.mass * float(exact.length_rate[0])
     )
     _, sampled = model.follow(start, times[1:], exact.length[1:] - parameters.initial_length)
     same = sampled.rear_anchor == exact.rear_anchor[1:]

@@ -62,13 +62,10 @@ def test_the_margins_are_published_from_the_end_of_each_cycle_on():
     assert states["keeps_probability"][-1] == pytest.approx(whole.keeps.value, abs=0.05)
 
 
-def test_without_a_tracker_the_margins_are_nan():
+def test_without_a_tracker_and_before_the_second_cycle_the_margins_are_nan():
     states = replay_run(dataclasses.replace(recorded(), tracker=TrackerSamples()), PAPER).states
     assert np.isnan(states["rear_margin"]).all()
     assert np.isnan(states["last_front_margin"]).all()
-
-
-def test_a_new_run_begins_without_margins():
     states = replay_run(recorded(), PAPER).states
     first = states["stamp_ns"] < EPOCH + round(1.9 * GAIT.period * 1e9)
     assert np.isnan(states["rear_margin"][first]).all()

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from twin_samples import CommandedLength, GaitSample, TrackerSample, follow
+from twin_samples import ONSET, CommandedLength, GaitSample, TrackerSample, at, follow
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
@@ -13,12 +13,8 @@ from worm_model.simulation.simulator import Locomotion
 from worm_model.twin.start_estimate import estimate_start
 from worm_model.twin.twin import Twin, TwinState
 
-ONSET, ORIGIN = 10**18, 0.5
+ORIGIN = 0.5
 MODEL = Locomotion(PAPER)
-
-
-def at(time: float) -> int:
-    return ONSET + round(time * 1e9)
 
 
 def watched(gait: Gait, offset: float, late: float = 0.0) -> tuple[TwinState, float]:

@@ -14,6 +14,7 @@ from twin_samples import (
     MeasuredLength,
     TrackerSample,
     TwinOutput,
+    at,
     follow,
 )
 
@@ -26,14 +27,9 @@ from worm_model.twin.forecast import forecast
 from worm_model.twin.twin import Twin
 from worm_msgs.robot_parameters import RobotParameters
 
-ONSET = 1_700_000_000_000_000_000
 CYCLES, PAUSE_S, STEP_S, ORIGIN = 3, 6.0, 1e-3, 0.4
 FIRST = Gait(0.07, 0.2)
 INSTRUMENTS = (TrackerSample, MeasuredLength)
-
-
-def at(time: float) -> int:
-    return ONSET + round(time * 1e9)
 
 
 @lru_cache

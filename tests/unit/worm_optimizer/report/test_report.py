@@ -162,12 +162,16 @@ def test_without_a_tracker_power_is_reported_and_the_reason_of_the_rest(tmp_path
     build_report(Report("blind", [gait]), tmp_path / "report")
 
 
-def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
-    content = ParameterFile(PAPER.replace(idle_power=1.25))
-    text = format_parameter_file(content).encode()
-    with new_bag(tmp_path / "own") as writer:
+def write_bag_with(path: Path, run: Run, **parameters: float) -> None:
+    """Write a run with a file of these parameters inside."""
+    text = format_parameter_file(ParameterFile(PAPER.replace(**parameters))).encode()
+    with new_bag(path) as writer:
         writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
-        write_run(writer, simulated_run(CYCLES))
+        write_run(writer, run)
+
+
+def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
+    write_bag_with(tmp_path / "own", simulated_run(CYCLES), idle_power=1.25)
     gait = read_one(tmp_path / "own")
     assert gait.content.parameters.idle_power == 1.25
     assert gait.parameter_source == "the parameter file inside the recording"
@@ -177,12 +181,9 @@ def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
 
 
 def test_powers_of_two_forms_are_not_compared(tmp_path: Path):
-    for name, form in (("pulls", True), ("pushes", False)):
-        text = format_parameter_file(ParameterFile(PAPER.replace(one_sided_cable=form))).encode()
-        with new_bag(tmp_path / name) as writer:
-            writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
-            write_run(writer, simulated_run(1))
     bags = [tmp_path / "pulls", tmp_path / "pushes"]
+    for bag, form in zip(bags, (True, False), strict=True):
+        write_bag_with(bag, simulated_run(1), one_sided_cable=form)
     with pytest.raises(InputError, match="pulls was recorded with parameters of a cable that"):
         read_recorded_gaits(bags, "", silent)
     gait = read_one(bags[0])
@@ -327,10 +328,7 @@ def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> Recorded
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Return default settings that take a tenth of a second."""
     quick = functools.partial(
-        Settings,
-        scan=ScanSettings(0.003, 0.004, 0.0002),
-        resolution=Resolution(21, 17),
-        samples=20,
+        Settings, scan=ScanSettings(0.003, 0.004, 0.0002), resolution=Resolution(21, 17), samples=20
     )
     monkeypatch.setattr("worm_optimizer.report.optimisation.Settings", quick)
 
