@@ -18,11 +18,11 @@ from benchmarks.report import Row, wall_time
 from tests.helpers.foreign_lab import write_foreign_lab
 from tests.helpers.foreign_robot import some_robot
 from tests.helpers.virtual_campaign import CAMPAIGN, SPREAD, virtual_campaign
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.inputs import read_inputs
 from worm_model.identification.reference_values import MEASURED, reference_by_folder
-from worm_model.identification.report.results import code_version
+from worm_model.identification.report.identification_report import code_version
 from worm_model.identification.stages import Identification, identify
 from worm_model.parameters import KEYS
 

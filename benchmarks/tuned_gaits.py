@@ -66,7 +66,7 @@ def _tune(robot: ForeignRobot, gait: Gait) -> tuple[Tuning | None, Gait, int]:
 
 def _best_cost(robot: ForeignRobot, frequency: float) -> float:
     """Return the cost of transport of the smallest stroke that keeps all grooves at a frequency, NaN without any."""
-    for stroke in np.arange(0.068, 0.09, 0.0005):
+    for stroke in np.arange(0.06, 0.09, 0.0005):
         gait = Gait(float(stroke), frequency)
         run = crawl(robot, gait, COUNTED)
         if not _lost(run, gait):

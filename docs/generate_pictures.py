@@ -43,8 +43,7 @@ from worm_model.simulation.simulator import Locomotion, simulate
 from worm_model.simulation.smoothing import smooth
 from worm_model.twin.scene import FREE, HOLDING, YIELDING
 from worm_optimizer.evaluation.task import Bounds
-from worm_optimizer.report.analysis_figures import capability_figure
-from worm_optimizer.report.front_plots import price_figure
+from worm_optimizer.report.front_plots import capability_figure, price_figure
 from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.front import RobustFront, make_front, scanned_price
 from worm_optimizer.search.search_settings import Settings, settings_of
@@ -388,7 +387,7 @@ def waveforms_picture() -> Figure:
     figure = new_figure(WIDTH, 4.8)
     panels = figure.subplots(2, 2, sharex="col", sharey="row")
     for (above, below), name in zip(panels.T, ("sinusoid", "shaped"), strict=True):
-        cruise = _front(name, 0.0).cruise
+        cruise = _front(name, 0.0).three["cruise"]
         run = simulated_run(cruise.gait, p, 3, 200.0)
         cycle = run.time >= 2.0 * cruise.period
         time = run.time[cycle] - 2.0 * cruise.period

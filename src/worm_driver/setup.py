@@ -14,6 +14,8 @@ EXECUTABLES: list[str] = [  # "executable = module:function"
     "driver_node = worm_driver.nodes.executables:driver_node",
     "tracker_node = worm_driver.nodes.executables:tracker_node",
     "calibrate = worm_driver.commands.calibrate:main",
+    "check = worm_driver.commands.check:main",
+    "setup_servo = worm_driver.commands.setup_servo:main",
     "bench_tests = worm_driver.commands.bench_tests:main",
     "markers = worm_driver.commands.markers:main",
     "calibrate_camera = worm_driver.commands.calibrate_camera:main",

@@ -67,6 +67,7 @@ with TemporaryDirectory() as scratch:
             (f"share/{NAME}/rviz", sorted(glob("rviz/*"))),
             (f"share/{NAME}/urdf", sorted(glob("urdf/*"))),
             (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
+            (f"share/{NAME}/plotjuggler", sorted(glob("plotjuggler/*"))),
             (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         ],
     )

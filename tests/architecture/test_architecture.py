@@ -48,7 +48,7 @@ SHARED = {
             "robot_parameters",
             "servo_models",
         ),
-        *("parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
+        *("network", "parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
     )
 }
 PROCESSES = [
@@ -64,6 +64,8 @@ CONFINED = {
     "sensor_msgs": NODES,
     "diagnostic_msgs": NODES,
     "lifecycle_msgs": NODES,
+    "nav_msgs": NODES,
+    "tf2_msgs": NODES,
     "visualization_msgs": NODES,
     "geometry_msgs": NODES,
     "builtin_interfaces": NODES,
@@ -91,9 +93,9 @@ CONFINED = {
     "pandas": ["worm_model/analysis/run_table.py"],
     "dask": [],
     "distributed": ["worm_optimizer/study/blocks.py"],
-    "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
+    "nicegui": ["worm_optimizer/console/*page*.py"],
     "fastapi": ["worm_optimizer/console/console_page.py"],
-    "starlette": ["worm_optimizer/console/server.py"],
+    "starlette": ["worm_optimizer/console/console_page.py"],
     "xarray": ["worm_optimizer/study/study_run.py"],
     "launch": [],
     "launch_ros": [],

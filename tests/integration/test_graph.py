@@ -6,12 +6,15 @@ A policy is enough for its node, and no more (for people: enough).
 
 import re
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from camera_rig import SETUP_FILE
 from commander import torques
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import LATCHED, NAMESPACE, Probe, Processes, VirtualWorm
 from interfaces_page import rows_of
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -44,6 +47,9 @@ OF_OPERATORS = (
 )  # published by clients that start gaits; this graph has none
 
 
+WITHOUT_TF2 = () if find_spec("tf2_msgs") else ("tf",)  # it is not a wheel
+
+ANALYZERS = Path(__file__).parents[2] / "src/worm_optimizer/config/analyzers.yaml"
 POLICIES = Path(__file__).parents[2] / "src/worm_driver/security/policies"
 ENCLAVES = {policy.name.removesuffix(".policy.xml"): policy for policy in POLICIES.glob("*.xml")}
 #: element of a policy, and the query for the nodes' names
@@ -97,7 +103,12 @@ def test_topics_services_and_actions_are_those_of_the_documentation(graph):
         }
         return {n: k for n, k in with_publisher.items() if not n.endswith("/transition_event")}
 
-    absent = ("/", "camera/", *OF_OPERATORS)  # names outside of the namespace, and no camera
+    absent = (
+        "/",
+        "camera/",
+        *OF_OPERATORS,
+        *WITHOUT_TF2,
+    )  # names outside of the namespace, and no camera
     topics = {name: row for name, row in rows_of("Topics").items() if not name.startswith(absent)}
     graph.wait_for(lambda: set(published()) >= set(topics), "all topics")
     assert {n: k.replace("/msg", "") for n, k in published().items()} == {
@@ -125,6 +136,27 @@ def test_topics_services_and_actions_are_those_of_the_documentation(graph):
     assert {n: k.replace("/srv", "") for n, k in plain.items()} == {
         name: row[0] for name, row in services.items()
     }
+
+
+def test_every_status_belongs_to_one_group_of_the_diagnostic_aggregator(graph):
+    reported = graph.collect(DiagnosticArray, "/diagnostics")
+    content = yaml.safe_load(ANALYZERS.read_text())["analyzers"]["ros__parameters"]
+    prefixes = {
+        name: part["find_and_remove_prefix"] for name, part in content.items() if name != "path"
+    }
+
+    def groups() -> dict[str, list[str]]:
+        statuses = {status.name for message in reported for status in message.status}
+        return {
+            name: [group for group, starts in prefixes.items() if name.startswith(tuple(starts))]
+            for name in statuses
+        }
+
+    expected = sorted(prefixes.keys() - {"tracker"})  # a virtual robot needs no camera
+    graph.wait_for(
+        lambda: sorted({g for found in groups().values() for g in found}) == expected, "all groups"
+    )
+    assert [name for name, found in groups().items() if len(found) != 1] == []
 
 
 def allowed(enclave: str, node: str) -> Rights:
@@ -208,9 +240,9 @@ def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
         found = lacking(graph, "virtual_robot", "virtual_robot")
         found += lacking(graph, "driver", "driver")
         found += lacking(graph, "driver", "driver_stop")
-        found += lacking(graph, "twin", "twin", "/clock")
+        found += lacking(graph, "twin", "twin", "/clock|/worm/tf")
         found += lacking(graph, "optimizer", "optimizer", "/clock")
-        found += lacking(graph, "recorder", "recorder", "/rosout|/worm/emergency_stop")
+        found += lacking(graph, "recorder", "recorder", "/rosout|/worm/(emergency_stop|tf)")
         found += lacking(graph, "recorder", "watch")
         found += [
             f"operator may not {kind} {access} {name}"
@@ -259,7 +291,7 @@ def test_the_player_has_what_its_policy_allows_and_no_more(
 ):
     bag = write_bag(tmp_path / "bag", simulated_run())
     processes.start_node("worm_model", "play", str(bag), "--loop")
-    other = "/worm/(body_length/.*|joint_states|twin/.*|clock|driver/transition_event)|/diagnostics|/rosout"
+    other = "/worm/(body_length/.*|joint_states|twin/.*|tf|clock|driver/transition_event)|/diagnostics|/rosout"
     assert lacking(probe, "player", "player", other) == []
 
 

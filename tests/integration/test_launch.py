@@ -292,13 +292,14 @@ def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
     given = {"namespace": "worm", "rviz": "false", "camera": "0.1 -0.4 0 1.57 0 0"}
     context.launch_configurations.update(given)
     context.extend_locals({"ros_specific_arguments": defaultdict(str)})  # as in nodes that start
-    *_, body, optical = runpy.run_path(str(path))["_start"](context)
+    pipe, *_, body, optical = runpy.run_path(str(path))["_start"](context)
     arguments = [
         " ".join(perform_substitutions(context, part) for part in node.cmd[1:])
-        for node in (body, optical)
+        for node in (body, optical, pipe)
     ]
     assert "--yaw 1.57 --pitch 0 --roll 0 --frame-id pipe --child-frame-id camera" in arguments[0]
     assert "--frame-id camera --child-frame-id camera_optical_frame" in arguments[1]
+    assert "--frame-id odom --child-frame-id pipe" in arguments[2]
 
 
 def test_every_setting_of_the_system_file_is_an_argument(launched):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import LATCHED, NAMESPACE, Probe, Processes
+from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from visualization_msgs.msg import MarkerArray
@@ -31,6 +32,11 @@ from worm_msgs.msg import (
 )
 from worm_msgs.msg import Gait as GaitMessage
 from worm_msgs.srv import PredictGait
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ModuleNotFoundError:  # it is not a wheel
+    TFMessage = None
 
 GAIT = Gait(0.07, 0.4)
 MESSAGE = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
@@ -122,6 +128,7 @@ def test_live_equals_offline_and_ctrl_c_is_clean(processes: Processes, probe: Pr
     residuals = probe.collect(TwinResiduals, "twin/residuals")
     lengths = probe.collect(BodyLength, "body_length/estimated")
     diagnostics = probe.collect(DiagnosticArray, "/diagnostics")
+    odometry = probe.collect(Odometry, "twin/odometry")
     process = processes.start_node("worm_model", "twin_node")
     robot = Robot(probe)
     play(robot, probe, states)
@@ -135,6 +142,11 @@ def test_live_equals_offline_and_ctrl_c_is_clean(processes: Processes, probe: Pr
     assert {numbers(m) for m in residuals} == {
         numbers(ros_twin.residuals_message(row, expected.warnings)) for row in expected.residuals
     }
+    probe.wait_for(lambda: odometry[-1].header.stamp == states[-1].header.stamp, "last odometry")
+    positions = {repr(state.header.stamp): state.rear_position for state in states}
+    for message in odometry:
+        assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+        assert message.pose.pose.position.x == positions[repr(message.header.stamp)]
     status = probe.wait_for(
         lambda: [s for m in diagnostics for s in m.status if s.name == "worm/twin: model"],
         "diagnostics",
@@ -153,11 +165,27 @@ def set_parameter(probe: Probe, name: str, value: object) -> bool:
     )
 
 
+def check_transforms(robot: Robot, odometry: list, frames: list) -> None:
+    """Check that the node publishes the transform of its odometry, until a parameter forbids it."""
+    probe = robot.probe
+    (sent,) = probe.wait_for(lambda: frames and frames[-1].transforms, "a transform")
+    assert (sent.header.frame_id, sent.child_frame_id) == ("odom", "base_link")
+    assert sent.transform.translation.x in [m.pose.pose.position.x for m in odometry]
+    assert set_parameter(probe, "publish_tf", False)
+    frames.clear()
+    before = len(odometry)
+    robot.move(1.22)
+    probe.wait_for(lambda: len(odometry) > before, "odometry without the transform")
+    assert frames == []
+
+
 def test_it_takes_new_parameters_predicts_and_shows(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     states = probe.collect(TwinState, "twin/state")
     markers = probe.collect(MarkerArray, "twin/markers")
+    odometry = probe.collect(Odometry, "twin/odometry")
+    frames = probe.collect(TFMessage, "tf") if TFMessage else []
     processes.start_node("worm_model", "twin_node")
     robot = Robot(probe)
     play(robot, probe, states, end=0.9)
@@ -199,6 +227,8 @@ def test_it_takes_new_parameters_predicts_and_shows(
     before = len(states)
     robot.move(1.21)
     probe.wait_for(lambda: len(states) > before, "a state after the change")
+    if TFMessage:
+        check_transforms(robot, odometry, frames)
 
 
 def test_the_example_of_the_page_runs(processes: Processes, probe: Probe, ros_domain: int):

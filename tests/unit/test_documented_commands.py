@@ -43,6 +43,8 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
 # Commands that need a robot or an operator, with the test that runs each, with real processes where they matter.
 ELSEWHERE = {
     ("worm_driver", "calibrate"): "tests/unit/worm_driver/commands/test_calibrate.py",
+    ("worm_driver", "check"): "tests/unit/worm_driver/commands/test_check.py",
+    ("worm_driver", "setup_servo"): "tests/unit/worm_driver/commands/test_setup_servo.py",
     ("worm_driver", "calibrate_camera"): "tests/unit/worm_driver/commands/test_camera_commands.py",
     ("worm_driver", "markers"): "tests/unit/worm_driver/commands/test_camera_commands.py",
     ("worm_driver", "track"): "tests/unit/worm_driver/commands/test_camera_commands.py",

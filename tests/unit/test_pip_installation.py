@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from worm_model.identification.report.results import VERSION
+from worm_model.identification.report.identification_report import VERSION
 from worm_msgs.worm_command import is_of_ros
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,6 +57,24 @@ def test_all_state_one_version():
     files = [ElementTree.parse(ROOT / "src" / name / "package.xml") for name in PACKAGES]
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
     assert {file.findtext("version") for file in files} == {cited} == {VERSION}
+
+
+def test_the_first_use_says_that_it_compiles(tmp_path: Path):
+    """Without ``./worm build``, the first command computes nothing for a minute."""
+
+    def imported_kernel() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", "import worm_model.simulation.kernel"],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stderr
+
+    assert "worm_model.simulation.kernel" in imported_kernel()
+    (folder,) = tmp_path.iterdir()
+    (folder / "code.nbc").touch()
+    assert imported_kernel() == ""
 
 
 @pytest.fixture(scope="module")

@@ -151,7 +151,6 @@ BAD_WITH_ROS = [
     (PLAY, "no_bag", "no_bag does not exist"),
     (PLAY, "bag --rate 0", "--rate"),
     (PLAY, "bag --start 1000", "after the end"),
-    (PLAY, "bag --topic /no", "no topic /no"),
     (PLAY, "bag --exclude .", "none of the selected topics"),
     (PLAY, "bag --exclude '('", "regular expression"),
     (

@@ -2,9 +2,9 @@
 """Launch file for RViz with a robot and its twin: ros2 launch worm_model view.launch.py namespace:=worm.
 
 robot_state_publisher publishes the frames of urdf/worm.urdf: those of the modules from the joint states of the twin,
-those of spool and fins from the joint states of the driver. The argument camera:= adds the frames camera and, for its
-images, camera_optical_frame. Frames are published on the topics tf and tf_static of the robot's namespace, because each
-robot has its own pipe.
+those of spool and fins from the joint states of the driver. The pipe is fixed in odom, the frame of the twin's
+odometry. The argument camera:= adds the frames camera and, for its images, camera_optical_frame. Frames are published
+on the topics tf and tf_static of the robot's namespace, because each robot has its own pipe.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     namespace = value("namespace").strip("/")
     robot = (SHARE / "urdf" / "worm.urdf").read_text(encoding="utf-8")
     nodes = [
+        _fixed(namespace, "odom", "pipe", ["0"] * len(_POSE)),
         _frames(namespace, robot, "twin_state_publisher", "twin/joint_states"),
         _frames(namespace, robot, "servo_state_publisher", "joint_states"),
     ]

@@ -9,3 +9,7 @@ from worm_msgs.input_error import printable as printable
 
 class RecordingError(InputError):
     """The recording lacks data for a metric; the message names the missing data."""
+
+
+class IdentificationError(InputError):
+    """The data do not suffice for an identification; the message names what is missing, and what to do."""

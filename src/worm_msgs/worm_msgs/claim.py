@@ -25,6 +25,8 @@ DRIVER_SERVICE = "run_gait/_action/send_goal"
 ANNOUNCED_S = 25.0
 _strtoul = ctypes.CDLL(None).strtoul
 _strtoul.restype = ctypes.c_ulong
+#: largest number of looks at a claim (`holder`), which stay in its queue until it ends; the kernel's own limit
+_LOOKS = 4096
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
 
 
@@ -42,7 +44,7 @@ def claim(role: str, namespace: str, domain: int) -> socket.socket:
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         made.bind(_address(role, namespace, domain))
-        made.listen()
+        made.listen(_LOOKS)
     except OSError as error:
         made.close()
         if error.errno != errno.EADDRINUSE:

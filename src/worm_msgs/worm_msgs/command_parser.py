@@ -30,12 +30,15 @@ def run_command(
     command: Callable[[argparse.Namespace], int | None],
     arguments: list[str] | None = None,
     bad_input: tuple[type[Exception], ...] = (),
+    failures: tuple[type[Exception], ...] = (),
 ) -> int:
     """Parse the arguments, run the command, and return the exit status.
 
-    ``bad_input`` contains exceptions that are bad input in addition to `InputError` and an output file that exists.
+    ``bad_input`` contains exceptions that are bad input in addition to `InputError` and an output file that exists,
+    ``failures`` those that are a failure in addition to OSError.
     """
     rejected: tuple[type[Exception], ...] = (InputError, FileExistsError, *bad_input)
+    failed: tuple[type[Exception], ...] = (OSError, *failures)  # a full disk, no permission
     options = parser.parse_args(arguments)
     notify = notifier(parser.prog)
     try:
@@ -46,7 +49,7 @@ def run_command(
     except BrokenPipeError:
         sys.stderr.close()  # The process that reads the output, such as `head`, has ended.
         return FAILED
-    except OSError as error:  # a full disk, no permission
+    except failed as error:
         notify(one_line(error))
         return FAILED
     except KeyboardInterrupt:

@@ -147,7 +147,8 @@ def _check_files(node: Node) -> None:
         near = difflib.get_close_matches(own, last, n=1)
         if near:
             raise ParameterRejectedError(
-                f"{file} is for {last[near[0]]}; the name of this node is {name}"
+                f"{file} is for {last[near[0]]}; the name of this node is {name}, so ROS would ignore the "
+                "file: use that of this robot, or /** for all nodes"
             )
         node.get_logger().warning(
             f"{file} contains no parameters of {name}, only of {', '.join(names)}"

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import platform
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 import worm_model
@@ -18,18 +17,8 @@ _MODEL, _OPTIMIZER = Path(worm_model.__file__).parent, Path(__file__).parent
 _MESSAGES = Path(inspect.getfile(RobotParameters)).parent
 # All sources, without the generated messages
 _SOURCES = {_MODEL: "**/*.py", _OPTIMIZER: "**/*.py", _MESSAGES: "*.py"}
-_OTHERS = ("worm_model", "worm_optimizer", "xarray", "distributed")
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and packages, by name."""
-    versions = {"python": platform.python_version()}
-    for name in (*_NUMERIC, *_OTHERS):
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:  # The packages run from a checkout.
-            versions[name] = "not installed"
-    return versions
+#: packages on which a result depends
+PACKAGES = (*_NUMERIC, "worm_model", "worm_optimizer", "xarray", "distributed")
 
 
 @cache

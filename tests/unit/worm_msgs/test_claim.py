@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from worm_msgs.claim import DRIVER, ROBOT, ClaimedError, claim, claim_robot, domain_of
+from worm_msgs.claim import DRIVER, ROBOT, ClaimedError, claim, claim_robot, domain_of, holder
 
 DOMAIN = 100_000 + os.getpid()  # a domain that no other test uses at the same time
 
@@ -40,8 +40,11 @@ def go(process: subprocess.Popen[str]) -> None:
 
 
 def test_a_second_claim_names_the_process_that_has_the_first():
-    with claim(ROBOT, "/worm", DOMAIN), pytest.raises(ClaimedError, match=f"process {os.getpid()}"):
-        claim(ROBOT, "worm", DOMAIN)  # with or without the leading slash
+    own = os.getpid()
+    with claim(ROBOT, "/worm", DOMAIN):
+        assert {holder(ROBOT, "/worm", DOMAIN) for _ in range(1000)} == {own}  # as a start does
+        with pytest.raises(ClaimedError, match=f"process {own}"):
+            claim(ROBOT, "worm", DOMAIN)  # with or without the leading slash
 
 
 @pytest.mark.parametrize(

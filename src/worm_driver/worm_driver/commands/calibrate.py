@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from worm_driver.commands.driver_command import new_file
+from worm_driver.commands.driver_command import new_file, run_command
 from worm_driver.control.supervision import own_limit
 from worm_driver.driver_errors import (
     ConfigurationError,
@@ -338,7 +338,14 @@ def calibrate(calibration: Calibration, turns: float) -> tuple[list[Spool], list
     return spools, fins
 
 
-def _arguments(arguments: list[str] | None) -> argparse.Namespace:
+def _turns(text: str) -> float:
+    turns = float(text)
+    if not 0.05 <= turns <= 5.0:
+        raise argparse.ArgumentTypeError(f"{text} must be 0.05 to 5")
+    return turns
+
+
+def _parser() -> Parser:
     parser = Parser(
         prog="calibrate",
         description="Find the servos, and measure signs, spool radii and fin angles with an operator and a ruler. The "
@@ -354,59 +361,45 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument(
         "--turns",
-        type=float,
+        type=_turns,
         default=0.5,
         help="turns of the spool from the first to the last ruler reading, 0.05 to 5; default: %(default)s",
     )
-    options = parser.parse_args(arguments)
-    if not 0.05 <= options.turns <= 5.0:
-        parser.error("--turns must be 0.05 to 5")
-    return options
+    return parser
 
 
 def _interrupt(_: int, __: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command and return the exit status."""
-    options = _arguments(arguments)
+def _run(options: argparse.Namespace) -> None:
     signal.signal(signal.SIGTERM, _interrupt)
     signal.signal(signal.SIGHUP, _interrupt)
-    try:
-        with contextlib.closing(
-            ServoBus.open(options.port, options.baud_rate, retries=_RETRIES)
-        ) as bus:
-            calibration = Calibration(bus, _ask, _say, time.sleep)
-            spools, fins = calibrate(calibration, options.turns)
-        text = parameter_text(options.port, options.baud_rate, spools, fins)
-        with options.output.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except ConfigurationError as error:
-        return _fail(error, 2)
-    except (DriverError, OSError) as error:
-        return _fail(error, 1)
-    except (KeyboardInterrupt, EOFError):
-        return _fail("cancelled: no file was written", 1)
+    with contextlib.closing(
+        ServoBus.open(options.port, options.baud_rate, retries=_RETRIES)
+    ) as bus:
+        spools, fins = calibrate(Calibration(bus, _ask, _say, time.sleep), options.turns)
+    text = parameter_text(options.port, options.baud_rate, spools, fins)
+    with options.output.open("x", encoding="utf-8") as file:
+        file.write(text)
     _say(f"written: {options.output}")
-    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command and return the exit status."""
+    return run_command(_parser(), _run, arguments)
 
 
 def _ask(question: str, meanwhile: Callable[[], object]) -> str:
-    """Return a line of standard input. Call ``meanwhile`` until it arrives. Raises EOFError at the end of the input."""
+    """Return a line of standard input. Call ``meanwhile`` until it arrives. The end of the input is a Ctrl-C."""
     print(question, end="", flush=True)  # noqa: T201 (a dialogue)
     while not select.select([sys.stdin], [], [], _FEEDING)[0]:
         meanwhile()
     line = sys.stdin.readline()
     if not line:
-        raise EOFError
+        raise KeyboardInterrupt
     return line.rstrip("\n")
 
 
 def _say(text: str) -> None:
     print(text)  # noqa: T201 (a dialogue)
-
-
-def _fail(error: object, status: int) -> int:
-    print(f"calibrate: {error}", file=sys.stderr)  # noqa: T201
-    return status

@@ -7,18 +7,22 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from worm_driver.driver_errors import TrackingError
+from worm_driver.driver_errors import ConfigurationError, DriverError, TrackingError
 from worm_msgs import command_parser
 from worm_msgs.command_parser import Parser
 
 
 def run_command(
     parser: Parser,
-    command: Callable[[argparse.Namespace], None],
+    command: Callable[[argparse.Namespace], int | None],
     arguments: list[str] | None = None,
 ) -> int:
-    """Run a command like `command_parser.run_command`. A TrackingError is bad input, too."""
-    return command_parser.run_command(parser, command, arguments, (TrackingError,))
+    """Run a command like `command_parser.run_command`, with DriverError as a failure.
+
+    A TrackingError or a ConfigurationError is bad input.
+    """
+    bad_input = (TrackingError, ConfigurationError)
+    return command_parser.run_command(parser, command, arguments, bad_input, (DriverError,))
 
 
 def new_file(text: str) -> Path:

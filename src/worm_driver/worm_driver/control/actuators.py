@@ -2,7 +2,7 @@
 """Actuators of a robot: checks, setup and motion of the servos with their spools and fins."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.supervision import CableLength, fault_level, own_limit
@@ -31,6 +31,62 @@ _FOLLOWS = 160
 _YIELD = 100
 #: Distance by which the cable may be beyond either end of the stroke range in an activation or a hold, m.
 PAYOUT_TOLERANCE = 0.01
+
+
+def require_registers(bus: ServoBus, servo: Servo, settings: DriverSettings) -> None:
+    """Check that the registers of a servo which the driver does not write permit the settings.
+
+    Raises:
+        ConfigurationError: A register has an unsuitable value.
+        BusError: The servo does not answer.
+    """
+    for spool in settings.spools:
+        if spool.servo == servo.number:
+            speed = settings.max_cable_speed / spool.radius
+            servos.require_speed(servo, speed, "limits.max_cable_speed_m_per_s")
+    for fin in settings.fins:
+        if fin.servo == servo.number:
+            servos.require_speed(servo, settings.fin_speed, "fin_servos.speed_rad_per_s")
+            servos.require_fin(bus, servo, *sorted((fin.ticks(1), fin.ticks(-1))))
+
+
+def held_contraction(
+    bus: ServoBus, cables: Sequence[Servo], settings: DriverSettings
+) -> float | None:
+    """Return the contraction (m) that the cable servos hold, if an earlier driver left their torque on.
+
+    Return None if no cable servo has torque, or if the robot would not spring back without it.
+
+    Raises:
+        ConfigurationError: The torque must stay on, but this driver cannot take the robot over: a cable servo with
+            torque is not homed or has other settings than this driver writes, or a cable servo has no torque while
+            another one has.
+        BusError: A servo does not answer.
+    """
+    ticks = [servos.held_position(bus, servo) for servo in cables]
+    held = [
+        -spool.length_change(at)
+        for spool, at in zip(settings.spools, ticks, strict=True)
+        if at is not None
+    ]
+    if max(held, default=0.0) <= _SPRINGS_BACK:
+        return None
+    for servo, at in zip(cables, ticks, strict=True):
+        if at is None:
+            raise ConfigurationError(
+                f"servo {servo.number} has no torque, while another cable servo holds the robot contracted by "
+                f"{max(held) * 1e3:.1f} mm: secure the body and switch the supply of the servos off"
+            )
+        servos.require_cable_settings(bus, servo, own_limit(servo, settings))
+    return max(held)
+
+
+def left_on(contraction: float) -> str:
+    """Return the message about a torque that an earlier driver left on, with the robot contracted (m)."""
+    return (
+        f"an earlier driver left the torque on, with the robot contracted by {contraction * 1e3:.1f} mm: the robot "
+        "would spring back without torque; activate the driver, then deactivate it to bring the robot to rest"
+    )
 
 
 class Actuators:
@@ -73,63 +129,22 @@ class Actuators:
             self._set_up()
 
     def _set_up(self) -> None:
-        self._check_registers()
+        for servo in self.servos:
+            require_registers(self._bus, servo, self.settings)
         for servo in self.servos:
             servos.check(self._bus, servo)
-        contraction = self._held_contraction()
+        contraction = held_contraction(self._bus, self.cables, self.settings)
         for servo in self.fins:
             servos.prepare_fin(self._bus, servo)
         if contraction is not None:
             self.homed = True
-            self.left_on = (
-                f"an earlier driver left the torque on, with the robot contracted by {contraction * 1e3:.1f} mm: the "
-                "robot would spring back without torque; activate the driver, then deactivate it to bring the robot "
-                "to rest"
-            )
+            self.left_on = left_on(contraction)
             return
         for servo in self.cables:
             servos.prepare_cable(self._bus, servo, own_limit(servo, self.settings))
         self.homed = all(servos.is_homed(self._bus, servo) for servo in self.cables)
         if self.settings.home_at_start and not self.homed:
             self.home()
-
-    def _check_registers(self) -> None:
-        """Check that registers which the driver does not write permit the settings. Raises ConfigurationError."""
-        settings = self.settings
-        for spool, servo in zip(settings.spools, self.cables, strict=True):
-            speed = settings.max_cable_speed / spool.radius
-            servos.require_speed(servo, speed, "limits.max_cable_speed_m_per_s")
-        for fin, servo in zip(settings.fins, self.fins, strict=True):
-            servos.require_speed(servo, settings.fin_speed, "fin_servos.speed_rad_per_s")
-            servos.require_fin(self._bus, servo, *sorted((fin.ticks(1), fin.ticks(-1))))
-
-    def _held_contraction(self) -> float | None:
-        """Return the contraction (m) that the cable servos hold, if an earlier driver left their torque on.
-
-        Return None if no cable servo has torque, or if the robot would not spring back without it.
-
-        Raises:
-            ConfigurationError: The torque must stay on, but this driver cannot take the robot over: a cable servo with
-                torque is not homed or has other settings than this driver writes, or a cable servo has no torque while
-                another one has.
-            BusError: A servo does not answer.
-        """
-        ticks = [servos.held_position(self._bus, servo) for servo in self.cables]
-        held = [
-            -spool.length_change(at)
-            for spool, at in zip(self.settings.spools, ticks, strict=True)
-            if at is not None
-        ]
-        if max(held, default=0.0) <= _SPRINGS_BACK:
-            return None
-        for servo, at in zip(self.cables, ticks, strict=True):
-            if at is None:
-                raise ConfigurationError(
-                    f"servo {servo.number} has no torque, while another cable servo holds the robot contracted by "
-                    f"{max(held) * 1e3:.1f} mm: secure the body and switch the supply of the servos off"
-                )
-            servos.require_cable_settings(self._bus, servo, own_limit(servo, self.settings))
-        return max(held)
 
     @property
     def servos(self) -> tuple[Servo, ...]:

@@ -66,9 +66,8 @@ def servo_report(
     elif not low <= state.voltage <= high:
         level = Level.WARN
         message = f"the supply is {state.voltage:.1f} V, outside {low:.1f} to {high:.1f} V"
-    elif state.temperature > servo.temperature_limit - _WARM:
-        level = Level.WARN
-        message = f"{state.temperature:.0f} degC; the servo shuts down at {servo.temperature_limit:.0f} degC"
+    elif hot := heat(servo, state.temperature):
+        level, message = Level.WARN, hot
     else:
         level, message = Level.OK, "ok"
     return DiagnosticReport(
@@ -83,6 +82,13 @@ def servo_report(
             ("temperature_deg_c", f"{state.temperature:.0f}"),
         ),
     )
+
+
+def heat(servo: Servo, temperature: float) -> str:
+    """Return a message if the temperature of a servo (degC) is near its limit, else an empty string."""
+    if temperature <= servo.temperature_limit - _WARM:
+        return ""
+    return f"{temperature:.0f} degC; the servo shuts down at {servo.temperature_limit:.0f} degC"
 
 
 def bus_report(

@@ -13,7 +13,7 @@ from worm_driver.control.control_loop import ControlLoop, PowerLoop
 from worm_driver.control.diagnostics import DiagnosticReport
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import CycleSnapshot, Robot
-from worm_driver.driver_errors import ConfigurationError, DriverError
+from worm_driver.driver_errors import DriverError
 from worm_driver.power import i2c
 from worm_driver.power.ina219 import (
     INA219,
@@ -27,8 +27,6 @@ from worm_driver.servos.registers import ServoModel
 from worm_driver.servos.servo_bus import BusCounters, ServoBus
 from worm_driver.simulated_clock import I2C, SERIAL, clock_of
 
-#: Answers per cycle that an adapter may delay: those of the state and of the health register.
-_ANSWERS = 2
 #: Factor by which late cycles may prolong a return to rest, which does not catch up.
 _LATENESS = 2.0
 #: Number of valid power samples after configure whose mean must not be negative.
@@ -97,7 +95,7 @@ class Hardware:
             self.clock = clock_of(settings.port, SERIAL)
             opened.callback(self.clock.close)
             self._bus.port.go_by(self.clock)
-            self._check_latency(self._bus.port.latency)
+            serial_port.require_latency(settings.port, self._bus.port.latency, settings.period)
             self.robot = Robot(
                 settings,
                 self._bus,
@@ -215,19 +213,6 @@ class Hardware:
                 diagnostics.power_report(power - before.power, where, self._reversed_current)
             )
         return reports
-
-    def _check_latency(self, latency: float) -> None:
-        """Check that the latency of the adapter (s) leaves time for the answers of a cycle.
-
-        Raises:
-            ConfigurationError: The latency is too long for the rate.
-        """
-        if _ANSWERS * latency >= self.settings.period:
-            raise ConfigurationError(
-                f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, too long for "
-                f"{self.settings.rate:g} Hz: install the udev rule (99-worm.rules), or "
-                f"echo 1 | sudo tee {serial_port.latency_timer_path(self.settings.port)}"
-            )
 
     def _valid_samples(self) -> int:
         return 0 if self._power is None else self._power.valid_samples

@@ -98,12 +98,16 @@ class INA219:
         self.device.write(CONFIGURATION, RESET)
         configuration = self.device.read(CONFIGURATION)
         if configuration != POWER_ON_CONFIGURATION:
-            raise PowerSensorError(
-                f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name} is no INA219, or its "
-                f"adapter swaps bytes: configuration after reset is 0x{configuration:04X}, not 0x399F; check the "
-                "parameter i2c_address"
-            )
+            raise self.other_chip(configuration)
         self.set_up()
+
+    def other_chip(self, configuration: int) -> PowerSensorError:
+        """Return the error about a chip with another configuration than an INA219 has after a reset."""
+        return PowerSensorError(
+            f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name} is no INA219, or its adapter "
+            f"swaps bytes: its configuration is 0x{configuration:04X}, not 0x399F as after a reset; check the "
+            "parameter i2c_address"
+        )
 
     def set_up(self) -> None:
         """Write the settings and check them. Raises PowerSensorError."""
@@ -135,6 +139,20 @@ class INA219:
         if not bus & _READY_BIT:
             return PowerSample(time, SampleStatus.NOT_READY)
         self.device.read(POWER)  # clears the ready bit
+        return self._judged(time, bus, shunt)
+
+    def look(self, time: float) -> PowerSample:
+        """Return a sample with the stamp ``time`` (s) like `sample`, from a chip that keeps its settings as they are.
+
+        The chip is only read, without an effect on another reader. Call this method at most once per conversion.
+        """
+        try:
+            return self._judged(time, self.device.read(BUS), _signed(self.device.read(SHUNT)))
+        except PowerSensorError:
+            return PowerSample(time, SampleStatus.BUS_ERROR)
+
+    def _judged(self, time: float, bus: int, shunt: int) -> PowerSample:
+        """Return the sample of a bus voltage and a shunt voltage, both raw."""
         if bus & _OVERFLOW_BIT or abs(shunt) >= SHUNT_FULL_SCALE:
             return PowerSample(time, SampleStatus.OVERFLOW)
         if self._is_frozen((bus, shunt)):

@@ -15,6 +15,10 @@ from types import MappingProxyType
 from worm_msgs.servo_models import SERVO_MODELS, ServoRow
 
 TICKS_PER_TURN = 4096
+#: Largest id of a servo (Protocol 2.0).
+HIGHEST_ID = 252
+#: Baud rates (bit/s) by the raw value of the register baud_rate (e-manual), without 4.5 Mbit/s, which the SDK lacks.
+BAUD_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 #: Largest absolute value of a goal in extended position mode, ticks (e-manual, operating mode 4).
 EXTENDED_POSITION_LIMIT = 1_048_575
 

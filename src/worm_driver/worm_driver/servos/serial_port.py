@@ -9,7 +9,11 @@ import stat
 import termios
 from pathlib import Path
 
+from worm_driver.driver_errors import ConfigurationError
+
 _SYSFS = Path("/sys/bus/usb-serial/devices")
+#: Answers per cycle that an adapter may delay: those of the state and of the health register.
+_ANSWERS = 2
 #: Major device numbers of the slave side of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt).
 _PTY_MAJORS = range(136, 144)
 #: Major device numbers of memory devices such as /dev/null.
@@ -35,6 +39,19 @@ def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
 def latency_timer_path(port: str, sysfs: Path = _SYSFS) -> Path:
     """Return the path of the file that holds the latency timer in ms, for reading and writing."""
     return sysfs / Path(port).resolve().name / "latency_timer"
+
+
+def require_latency(port: str, latency: float, period: float) -> None:
+    """Check that the latency of a port's adapter (s) leaves time for the answers of a control cycle (period in s).
+
+    Raises:
+        ConfigurationError: The latency is too long.
+    """
+    if _ANSWERS * latency >= period:
+        raise ConfigurationError(
+            f"the latency timer of {port} is {latency * 1e3:.0f} ms, too long for {1.0 / period:g} Hz: install the "
+            f"udev rule (99-worm.rules), or echo 1 | sudo tee {latency_timer_path(port)}"
+        )
 
 
 def why_no_port(port: str) -> str:

@@ -111,6 +111,10 @@ class BusCounters:
     retries: int = 0
 
 
+def _identity(data: bytes) -> Identity:
+    return Identity(data[0] | data[1] << 8, data[2])
+
+
 def error_text(number: int) -> str:
     """Return the meaning of a status packet's error number."""
     return _ERROR_TEXT.get(number, f"answers with error number {number}")
@@ -142,6 +146,10 @@ _LEFT_OVER = 4096
 # Indices of a packet's fields. Stuffing covers the fields from the instruction on, without the CRC.
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _ALERT = 0x80
+#: Size of the data in the answer to a ping, bytes.
+_IDENTITY_SIZE = 3
+#: Longest time per id that the servos take to answer a ping of all servos, s (DynamixelSDK, broadcastPing).
+_PING_SLOT = 3e-3
 
 
 class BusPort(PortHandler):
@@ -344,19 +352,25 @@ class ServoBus:
         """
         if reason := serial_port.why_no_port(path):
             raise ConfigurationError(reason)
-        port = BusPort(path, baud_rate)
+        bus = ServoBus(BusPort(path, baud_rate), retries)
+        bus.set_baud_rate(baud_rate)
+        if latency is None:
+            latency = (serial_port.latency_timer_ms(path) or 1) * 1e-3
+        bus.port.latency = latency
+        return bus
+
+    def set_baud_rate(self, baud_rate: int) -> None:
+        """Open the port, again if it is open, with a baud rate (bit/s). Raises as `open`."""
+        path = self.port.port_name
         try:
-            if not port.openPort():
+            if not self.port.setBaudRate(baud_rate):
                 raise ConfigurationError(
                     f"the SDK cannot set the baud rate {baud_rate}: use a rate of the register baud_rate (e-manual)"
                 )
         # SerialException is an OSError, termios.error is not.
         except (OSError, termios.error) as error:
             raise PortError(serial_port.explain_open_failure(path, error)) from error
-        if latency is None:
-            latency = (serial_port.latency_timer_ms(path) or 1) * 1e-3
-        port.latency = latency
-        return ServoBus(port, retries)
+        self._settled = False
 
     def close(self) -> None:
         """Close the port. Has no effect if it is closed or gone."""
@@ -383,8 +397,33 @@ class ServoBus:
         """Return the model number and the firmware of a servo."""
         packet = [0] * 10
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 1
-        data = self._command(servo, packet, 3)
-        return Identity(data[0] | data[1] << 8, data[2])
+        return _identity(self._command(servo, packet, 3))
+
+    def scan(self) -> dict[int, Identity]:
+        """Ping all servos at once. Return the model number and the firmware of those that answer, by id.
+
+        Raises:
+            CorruptReplyError: Answers are garbled, or two have the same id. The message contains the ids.
+        """
+        packet = [0] * 10
+        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = BROADCAST, 3, 1
+        answers: list[int] = []
+        found = {}
+        with self._question() as handler:
+            self._begin(())
+            self._check_sent(handler.txPacket(self.port, packet))
+            self.port.begin_wait(_PING_SLOT * BROADCAST + self.port.answer_time(14 * BROADCAST))
+            while self.port.expects:
+                answer = self._receive(handler)
+                if answer is not None and len(data := self._reply(answer).data) == _IDENTITY_SIZE:
+                    answers.append(answer[_ID])
+                    found[answer[_ID]] = _identity(data)
+        if self._garbled or len(answers) > len(found):
+            ids = ", ".join(map(str, sorted(answers))) or "none"
+            raise CorruptReplyError(
+                f"answers to a ping of all servos are garbled or doubled (ids {ids}): check the cable, and {_SHARED_ID}"
+            )
+        return found
 
     def read(self, servo: int, register: Register) -> int:
         """Return a register's raw value."""

@@ -25,7 +25,7 @@ from worm_driver.servos.registers import (
     ServoModel,
     hardware_error_text,
 )
-from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.servos.servo_bus import Identity, ServoBus
 
 #: Largest number of attempts to get two readings that agree.
 _PAIRS = 4
@@ -49,6 +49,9 @@ _CHECKED = {
     "pwm_limit": (885, "a lower value makes the servo slow and weak"),
     "shutdown": (52, "the servo protects itself at the factory value"),
 }
+#: Factory values of the limits of a position, ticks, and of the limits of the supply.
+_POSITIONS = {"min_position_limit": 0, "max_position_limit": 4095, "homing_offset": 0}
+_VOLTAGES = {"min_voltage_limit": 95, "max_voltage_limit": 160}
 #: Registers of the EEPROM, written while the torque is off: a restarted servo then has no torque.
 _EEPROM = {"return_delay_time": 0, "drive_mode": 0, "startup_configuration": 0}
 #: Registers of the RAM. Gains are those of position control; the servo does not delay a goal.
@@ -97,32 +100,83 @@ def identify(bus: ServoBus, number: int) -> Servo:
         ConfigurationError: The model is not supported, its firmware is too old, or a register has another value.
     """
     identity = bus.ping(number)
+    model = model_of(number, identity)
+    require_watchdog(number, model, identity.firmware)
+    answer_all(bus, number, model)
+    servo, protections = read_servo(bus, number, model, identity.firmware)
+    require_protections(servo, protections)
+    return servo
+
+
+def model_of(number: int, identity: Identity) -> ServoModel:
+    """Return the model of a servo. Raises ConfigurationError if it is not supported."""
     model = MODELS.get(identity.model_number)
     if model is None:
         known = ", ".join(f"{m.name} ({m.number})" for m in MODELS.values())
         raise ConfigurationError(
-            f"servo {number} has model number {identity.model_number}, which is not supported; the supported "
-            f"models are {known}"
+            f"servo {number} has model number {identity.model_number}, which is not supported: use one of {known}"
         )
-    if identity.firmware < model.minimum_firmware:
+    return model
+
+
+def require_watchdog(number: int, model: ServoModel, firmware: int) -> None:
+    """Check that the firmware of a servo has a bus watchdog."""
+    if firmware < model.minimum_firmware:
         raise ConfigurationError(
-            f"servo {number} ({model.name}) has firmware {identity.firmware}, which has no bus watchdog: "
+            f"servo {number} ({model.name}) has firmware {firmware}, which has no bus watchdog: "
             f"update it to {model.minimum_firmware} or later with Dynamixel Wizard"
         )
-    # A servo may be set to answer pings only. A group write has no answer on which this could fail.
+
+
+def answer_all(bus: ServoBus, number: int, model: ServoModel) -> None:
+    """Make a servo answer all requests. It may be set to answer pings only, so the write must need no answer."""
     bus.sync_write(model["status_return_level"], {number: 2})
-    checked = _required(model, {name: raw for name, (raw, _) in _CHECKED.items()})
+
+
+def read_servo(
+    bus: ServoBus, number: int, model: ServoModel, firmware: int
+) -> tuple[Servo, Mapping[str, int]]:
+    """Return a servo with its limits, and its values for `require_protections`. Raises BusError."""
     limits = ("velocity_limit", "min_voltage_limit", "max_voltage_limit")
     ends = ("min_position_limit", "max_position_limit")
-    values = _registers(bus, number, model, (*checked, *limits, *ends))
-    for name, raw in checked.items():
-        if values[name] != raw:
-            raise _unsuitable(number, name, values[name], raw, _CHECKED[name][1])
+    values = _registers(bus, number, model, (*_CHECKED, *limits, *ends))
     values["velocity_limit"] = min(values["velocity_limit"], model.factory["velocity_limit"])
     speed, low, high = (model[name].from_raw(values[name]) for name in limits)
     temperature = model["temperature_limit"].from_raw(values["temperature_limit"])
     ticks = values[ends[0]], values[ends[1]]
-    return Servo(number, model, identity.firmware, speed, (low, high), temperature, ticks)
+    return Servo(number, model, firmware, speed, (low, high), temperature, ticks), values
+
+
+def require_protections(servo: Servo, values: Mapping[str, int]) -> None:
+    """Check the registers that need the same value in every robot, and that the driver does not write."""
+    for name, raw in _protections(servo.model).items():
+        if values[name] != raw:
+            raise _unsuitable(servo.number, name, values[name], raw, _CHECKED[name][1])
+
+
+def _protections(model: ServoModel) -> dict[str, int]:
+    return _required(model, {name: raw for name, (raw, _) in _CHECKED.items()})
+
+
+def new_limits(model: ServoModel) -> Mapping[str, int]:
+    """Return the limits and protections of a new servo that suits every robot, raw EEPROM values by name."""
+    current = {"current_limit": model.current_limit} if model.measures_current else {}
+    speed = {"velocity_limit": model.factory["velocity_limit"]}
+    return {**_POSITIONS, **current, **speed, **_required(model, _VOLTAGES), **_protections(model)}
+
+
+def left_over(bus: ServoBus, servo: Servo, limit: float) -> str:
+    """Return the values that another program left and that the driver will replace; empty if there are none.
+
+    ``limit`` is that of `reset_control`.
+    """
+    wanted = _required(servo.model, {**_EEPROM, **_RAM})
+    values = registers(bus, servo, *wanted, "goal_pwm")
+    wanted["goal_pwm"] = max(values["goal_pwm"], servo["goal_pwm"].to_raw(limit))
+    differing = (
+        f"{n} {values[n]} instead of {raw}" for n, raw in wanted.items() if values[n] != raw
+    )
+    return ", ".join(differing)
 
 
 def _required(model: ServoModel, values: Mapping[str, int]) -> dict[str, int]:
@@ -132,7 +186,7 @@ def _required(model: ServoModel, values: Mapping[str, int]) -> dict[str, int]:
 
 def _unsuitable(number: int, name: str, stored: int, needed: int, why: str) -> ConfigurationError:
     return ConfigurationError(
-        f"servo {number} has {name} {stored} instead of {needed}: {why}. Set it to {needed} with Dynamixel Wizard"
+        f"servo {number} has {name} {stored} instead of {needed}: {why}. Set it to {needed} with setup_servo"
     )
 
 
@@ -144,7 +198,7 @@ def require_speed(servo: Servo, speed: float, parameter: str) -> None:
     if stored < needed:
         raise ConfigurationError(
             f"servo {servo.number} has velocity_limit {stored}, and {parameter} needs {needed}: set it to {factory} "
-            "with Dynamixel Wizard, or lower the parameter"
+            "with setup_servo, or lower the parameter"
         )
 
 
@@ -154,7 +208,7 @@ def require_fin(bus: ServoBus, servo: Servo, low: int, high: int) -> None:
     if not smallest <= low <= high <= largest:
         raise ConfigurationError(
             f"servo {servo.number} has min_position_limit {smallest} and max_position_limit {largest}, but its fin "
-            f"needs {low} to {high} ticks: set the limits to 0 and 4095 with Dynamixel Wizard"
+            f"needs {low} to {high} ticks: set the limits to 0 and 4095 with setup_servo"
         )
     offset = registers(bus, servo, "homing_offset")["homing_offset"]
     if offset:
@@ -200,14 +254,22 @@ def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
 def check(bus: ServoBus, servo: Servo) -> None:
     """Check that a servo's supply is in range and that it reports no fault."""
     values = registers(bus, servo, "hardware_error_status", "present_input_voltage")
-    voltage = servo["present_input_voltage"].from_raw(values["present_input_voltage"])
+    require_supply(servo, servo["present_input_voltage"].from_raw(values["present_input_voltage"]))
+    require_no_error(servo, values["hardware_error_status"])
+
+
+def require_supply(servo: Servo, voltage: float) -> None:
+    """Check that the supply of a servo (V) is in the range of its registers."""
     low, high = servo.voltage_range
     if not low <= voltage <= high:
         raise ConfigurationError(
             f"servo {servo.number} ({servo.model.name}) has {voltage:.1f} V, outside its min_voltage_limit {low:.1f} V "
             f"to max_voltage_limit {high:.1f} V: check the supply and these registers"
         )
-    status = values["hardware_error_status"]
+
+
+def require_no_error(servo: Servo, status: int) -> None:
+    """Check that a servo's hardware_error_status is 0."""
     if status:
         raise ConfigurationError(
             f"servo {servo.number} reports {hardware_error_text(status)}: remove the cause, then call the "

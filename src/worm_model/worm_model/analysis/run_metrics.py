@@ -135,11 +135,7 @@ def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) ->
 
 
 def measure_margin(run: Run, parameters: Parameters, grooves: int | None = None) -> RunMargin:
-    """Return the measured margins of the last gait of a recording, see `measure_cycles`.
-
-    Raises:
-        RecordingError: The recording contains no gait.
-    """
+    """Return the measured margins of the last gait of a recording, see `measure_cycles`."""
     played = last_played_gait(run.gait_state)
     cycles = played.whole_cycles_until(int(run.tracker.stamp.max(initial=played.onset)))
     return measure_cycles(run, played.gait, played.onset, cycles, parameters, grooves)

@@ -179,8 +179,11 @@ def _run(options: argparse.Namespace) -> None:
     from worm_model.identification.data.lab_logs import LabSettings
     from worm_model.identification.inputs import read_inputs, read_recordings
     from worm_model.identification.report.advice import advise
-    from worm_model.identification.report.identification_report import write_report
-    from worm_model.identification.report.results import parameter_file, summary
+    from worm_model.identification.report.identification_report import (
+        parameter_file,
+        summary,
+        write_report,
+    )
     from worm_model.identification.stages import identify
 
     output = new_file(options.output) if options.output else None

@@ -8,9 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.data.identification_errors import IdentificationError
-from worm_model.identification.fits.estimate import Estimate, quantile
-from worm_model.identification.fits.robust import OUTLIER, dependence, scale_of
+from worm_model.errors import IdentificationError
+from worm_model.identification.fits.estimate import (
+    OUTLIER,
+    Estimate,
+    dependence,
+    quantile,
+    scale_of,
+)
 
 COLUMNS = ("compression_m", "force_N")
 FEWEST_POINTS = 5  # smallest number of points of a test

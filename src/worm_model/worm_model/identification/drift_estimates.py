@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.errors import InputError
+from worm_model.errors import IdentificationError, InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.drift import MARGIN
@@ -22,10 +21,10 @@ from worm_model.identification.fits.estimate import Estimate, admissible, not_id
 from worm_model.identification.fits.locomotion import Known, traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import LONGEST_GAP, remarks, usable
+from worm_model.identification.held_out import margin_estimate
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.inputs import read_bag
 from worm_model.identification.locomotion_stage import identify_locomotion
-from worm_model.identification.recorded_margin import margin_estimate
 from worm_model.parameters import Parameters
 from worm_model.simulation.simulator import SimulationError
 

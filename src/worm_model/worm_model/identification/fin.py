@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from worm_model.arrays import Array
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.fits.estimate import (
+    SIGMA_PER_MAD,
     Estimate,
+    dependence,
     follow_profile,
     if_identifiable,
     quantile,
 )
-from worm_model.identification.fits.robust import SIGMA_PER_MAD, dependence
 
 COLUMNS = ("displacement_m", "force_N")
 KEYS = ("clearance", "engaged_stiffness", "disengaged_stiffness")

@@ -12,8 +12,17 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.identification.actuation_stage import ActuationResult
+from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import uneven_pitch
-from worm_model.identification.fits.contraction_fit import fit_contractions
+from worm_model.identification.fits.actuation_fit import (
+    CLOCK,
+    START,
+    actuation_problem,
+    fitted_samples,
+    slack_length,
+)
+from worm_model.identification.fits.block_least_squares import solve
+from worm_model.identification.fits.estimate import noise_of
 from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.locomotion_stage import LocomotionResult
 from worm_model.identification.run_selection import FittedRun
@@ -136,27 +145,21 @@ def judge_fit(
     )
 
 
-def _median(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else float("nan")
-
-
 def _of_length(
     runs: Sequence[FittedRun], unexplained: Sequence[FittedRun], actuation: ActuationResult
 ) -> list[str]:
     """Return causes that the measured length shows relative to the command."""
     causes, offset = [], actuation.fit.clock_offset
     if unexplained:
-        fit = fit_contractions([run.recording for run in runs])
-        offset = fit.clock_offset
-        worst = int(np.argmax(fit.lacking))
+        offset, lacking = fit_contractions([run.recording for run in runs])
+        worst = int(np.argmax(lacking))
         name, gait = runs[worst].name, runs[worst].recording.gait
-        lacking, names = 1e3 * fit.lacking[worst], ", ".join(run.name for run in unexplained)
+        names = ", ".join(run.name for run in unexplained)
         causes.append(
-            f"the cable cannot push: late in its extensions the body is {lacking:.1f} mm shorter than its contractions "
-            f"predict (median of {name}, {gait.frequency:g} Hz). The bellows are too slow for this gait, or something "
-            "brakes them. δ_s, K, τ, c_b and α_P are averages over the gaits"
-            if fit.lacking[worst] > LACKING
+            f"the cable cannot push: late in its extensions the body is {1e3 * lacking[worst]:.1f} mm shorter than "
+            f"its contractions predict (median of {name}, {gait.frequency:g} Hz). The bellows are too slow for this "
+            "gait, or something brakes them. δ_s, K, τ, c_b and α_P are averages over the gaits"
+            if lacking[worst] > LACKING
             else f"the length does not follow slack, gain and time constant in {names}: the cable is compliant, or its "
             "slack is taken up slowly"
         )
@@ -193,3 +196,49 @@ def _of_grooves(runs: Sequence[FittedRun], locomotion: LocomotionResult) -> list
             f"{100 * scatter.stiffness:.0f} % from groove to groove"
         )
     return causes
+
+
+# Share of a contraction after which the cable is taut, and of an extension after which the bellows may lag behind
+TAUT, LATE = 0.3, 0.5
+
+
+def fit_contractions(recordings: Sequence[Recording]) -> tuple[Array, Array]:
+    """Fit the actuation model to the rest and to the contractions of all recordings.
+
+    A taut cable determines the length in a contraction. A cable that cannot push leaves the extension to the bellows,
+    which lag behind in fast gaits. The contractions then follow the model, and the extensions end too short.
+
+    Returns:
+        The clock offset of each run in s (see `ActuationFit.clock_offset`), and the length in m that each run lacks:
+        the median of predicted minus measured length in the second halves of the extensions, 0 without any.
+    """
+    phases = [_phases(recording) for recording in recordings]
+    weights = [
+        np.where((time < 0.0) | ((part > TAUT) & (part < 1.0)), 1.0, 0.0) for time, part in phases
+    ]
+    own = np.array([[slack_length(r), 0.0, 0.0] for r in recordings])
+    problem = actuation_problem(recordings)
+    solution = solve(problem, np.array(START), own, weights)
+    late = [(time > 0.0) & (part > 1.0 + LATE) for time, part in phases]
+    lacking = [
+        -noise_of(recording.length) * float(np.median(residuals[rows])) if rows.any() else 0.0
+        for recording, residuals, rows in zip(recordings, solution.residuals, late, strict=True)
+    ]
+    return solution.own[:, CLOCK], np.array(lacking)
+
+
+def _phases(recording: Recording) -> tuple[Array, Array]:
+    """Return the times (n,) in s of the fitted samples and their parts of the cycle (n,).
+
+    The part is 0 to 1 during the contraction and 1 to 2 during the extension.
+    """
+    time = recording.camera_time[fitted_samples(recording)]
+    gait, phase = recording.gait, np.mod(time * recording.gait.frequency, 1.0)
+    share = gait.contraction_share
+    part: Array = np.where(phase < share, phase / share, 1.0 + (phase - share) / (1.0 - share))
+    return time, part
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")

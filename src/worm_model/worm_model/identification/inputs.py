@@ -12,10 +12,9 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import read_run
 from worm_model.checksum import checksums_of, sha256_of
+from worm_model.errors import IdentificationError
 from worm_model.identification import bellows, fin
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.lab_logs import (
-    LabError,
     LabSettings,
     read_columns,
     read_lab_run,
@@ -167,10 +166,7 @@ def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
 
     Raises `IdentificationError` if a file is missing or invalid, or if the run's gait is unknown.
     """
-    try:
-        lab = read_lab_run(folder, logs)
-    except LabError as error:
-        raise IdentificationError(str(error)) from None
+    lab = read_lab_run(folder, logs)
     if lab.gait is None:
         raise IdentificationError(
             f"{folder}: the gait is unknown; add a runs.json with stroke_m and frequency_Hz of each run"
@@ -181,10 +177,7 @@ def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
 
 def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
     """Read the two ``columns`` of a bench test. Raises `IdentificationError` if the file cannot be used."""
-    try:
-        table = read_columns(path, columns)
-    except LabError as error:
-        raise IdentificationError(str(error)) from None
+    table = read_columns(path, columns)
     return BenchTest(table[columns[0]], table[columns[1]], sha256_of([path]))
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 
 from worm_model.arrays import Array, accumulated
+from worm_model.errors import IdentificationError
 from worm_model.identification.bellows import fit_bellows
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import fit_fin

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.estimate import Estimate, half_of_mean, quantile
 from worm_model.identification.fits.locomotion import Traverse, traverse_of

@@ -8,27 +8,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from worm_model.errors import IdentificationError
 from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
 from worm_model.identification.bellows import BellowsFit, fit_bellows
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
-from worm_model.identification.energy_stage import EnergyResult, identify_energy
+from worm_model.identification.energy_stage import EnergyResult, Forces, forces_of, identify_energy
 from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.fit_verdict import FitVerdict, judge_fit
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import PowerRun, power_run
-from worm_model.identification.fits.estimate import (
-    Estimate,
-    admissible,
-    not_identifiable,
-    quantile,
-)
+from worm_model.identification.fits.estimate import Estimate, admissible, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import Known
 from worm_model.identification.fits.run_prediction import Errors
-from worm_model.identification.forces import Forces, forces_of
-from worm_model.identification.held_out import leave_one_out, run_errors
+from worm_model.identification.held_out import compared_margin, leave_one_out, run_errors
 from worm_model.identification.idle import NO_IDLE, idle_power
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion_stage import (
@@ -37,7 +31,6 @@ from worm_model.identification.locomotion_stage import (
     LocomotionResult,
     identify_locomotion,
 )
-from worm_model.identification.recorded_margin import compared_margin
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.identification.run_selection import (
     FittedRun,

@@ -35,6 +35,7 @@ from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two polls of the services
 REMINDER_S = 10.0  # between two log lines that name the awaited nodes
+UNCHANGED_S = 1.0  # time without a change of the subscribers before the first message
 MATCHING_S = 3.0  # timeout for a subscriber that cannot be connected
 ACKNOWLEDGED_S = 2.0  # timeout for the last messages to reach their subscribers
 LATEST_S = 2**31 - 1  # s since the epoch, the latest time of a message (year 2038)
@@ -131,14 +132,10 @@ class PlayNode(Node):
         return installed
 
     def _selected(self) -> Iterator[Topic]:
-        wanted, exclude = self._options.topic, self._options.exclude
-        unknown = sorted(set(wanted) - self._bag.topics.keys())
-        if unknown:
-            raise InputError(f"{self._bag.path} has no topic {unknown[0]}")
+        exclude = self._options.exclude
         for channel in self._bag.channels:
-            chosen = channel.name in wanted if wanted else True
             excluded = bool(exclude) and re.search(exclude, channel.name)
-            if chosen and not excluded and channel.name != "/clock":
+            if not excluded and channel.name != "/clock":
                 yield channel
 
     def _rewind(self) -> None:
@@ -192,7 +189,7 @@ class PlayNode(Node):
                 )
 
     def _is_connected(self, wall: float) -> bool:
-        """Return True if the number of subscribers has not changed for the time of --delay.
+        """Return True if the number of subscribers has not changed for `UNCHANGED_S`.
 
         While some known subscribers are not connected, this time is longer by MATCHING_S. The two sides of a connection
         discover each other at different times, and subscribers are discovered one by one.
@@ -205,7 +202,7 @@ class PlayNode(Node):
         if counts != self._subscribers:
             self._subscribers, self._changed = counts, wall
         connected = all(reached >= known for reached, known in counts.values())
-        delay = self._options.delay + (0.0 if connected else MATCHING_S)
+        delay = UNCHANGED_S + (0.0 if connected else MATCHING_S)
         return wall >= self._changed + delay
 
     def _is_awaiting(self, wall: float) -> bool:
@@ -281,13 +278,6 @@ def _parser() -> Parser:
         help="play from this time on, in s since the start of the bag",
     )
     parser.add_argument(
-        "--delay",
-        type=not_negative,
-        default=1.0,
-        metavar="S",
-        help="publish the first message when the subscribers have not changed for this time (default 1 s)",
-    )
-    parser.add_argument(
         "--wait-for",
         action="append",
         default=[],
@@ -301,9 +291,6 @@ def _parser() -> Parser:
         default=100.0,
         metavar="HZ",
         help="rate of /clock, 0: none (default 100)",
-    )
-    parser.add_argument(
-        "--topic", action="append", default=[], help="play only this topic; may be repeated"
     )
     parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics to exclude")
     return parser

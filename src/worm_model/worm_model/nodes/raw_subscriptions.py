@@ -246,7 +246,7 @@ class RecordNode(Node):
 
     def why_missing(self, name: str) -> str:
         """Return the reason why a missing topic is not subscribed."""
-        return self._rejected.get(name, "it was never published")
+        return self._rejected.get(name, "no publisher was found")
 
     @property
     def topics(self) -> list[Topic]:
@@ -260,7 +260,7 @@ class RecordNode(Node):
                 if subscription.misses(publisher):
                     self._warn(
                         f"{name}: messages of {publisher.node_name} are not recorded, because it offers a lower "
-                        "quality of service than earlier publishers; start the recorder again"
+                        "quality of service than the publishers that were found first; start the recorder again"
                     )
         for name, types in self.get_topic_names_and_types():
             new = name not in self._subscriptions_by_name and name not in self._rejected

@@ -8,8 +8,17 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -142,6 +151,35 @@ def joint_state(row: Any) -> JointState:
     )
 
 
+UNMEASURED = 1e6  # variance of what the twin does not estimate, m² and so on
+
+
+def odometry(row: Any, deviation: float) -> Odometry:
+    """Return the pose of the rear module, and its speed, for a row of `twin.data.records.STATE_ROW`.
+
+    ``deviation`` is the standard deviation of x1 in m, NaN if it is unknown. REP 105 names the frames.
+    """
+    message = Odometry(child_frame_id="base_link")
+    message.header = Header(stamp=time_message(int(row["stamp_ns"])), frame_id="odom")
+    message.pose.pose.position.x = float(row["rear_position"])
+    message.twist.twist.linear.x = float(row["rear_velocity"])
+    covariance = np.diag([UNMEASURED] * 6)
+    message.twist.covariance = covariance.ravel()
+    if not math.isnan(deviation):
+        covariance[0, 0] = deviation**2
+    message.pose.covariance = covariance.ravel()
+    return message
+
+
+def transform(message: Odometry) -> TransformStamped:
+    """Return the transform between the frames of an odometry message."""
+    place = message.pose.pose.position
+    shift = Transform(translation=Vector3(x=place.x, y=place.y, z=place.z))
+    return TransformStamped(
+        header=message.header, child_frame_id=message.child_frame_id, transform=shift
+    )
+
+
 def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
     """Fill the stamp of a message and the named fields from a row with the same names; return the message."""
     message.header.stamp = time_message(int(row["stamp_ns"]))
@@ -150,25 +188,23 @@ def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
     return message
 
 
+# fields of a prediction that only the optimizer computes
+_OF_OPTIMIZER = (
+    *("stroke_to_lower_edge", "stroke_to_upper_edge"),
+    *("success_probability", "success_probability_any_phase"),
+)
+
+
 def fill_forecast(response: Any, prediction: Forecast) -> Any:
     """Fill the response of PredictGait with a forecast, and return it."""
-    nan = math.nan
+    names = ("speed", "power", "cost_of_transport", "grooves_per_cycle")
     response.success = True
     response.prediction = GaitPrediction(
         gait=GaitMessage(**dataclasses.asdict(prediction.robust.gait)),
-        speed=prediction.robust.speed,
-        power=prediction.robust.power,
-        cost_of_transport=prediction.robust.cost_of_transport,
-        grooves_per_cycle=prediction.robust.grooves_per_cycle,
         groove_phase=prediction.groove_phase,
-        nominal_speed=prediction.nominal.speed,
-        nominal_power=prediction.nominal.power,
-        nominal_cost_of_transport=prediction.nominal.cost_of_transport,
-        nominal_grooves_per_cycle=prediction.nominal.grooves_per_cycle,
-        stroke_to_lower_edge=nan,
-        stroke_to_upper_edge=nan,
-        success_probability=nan,
-        success_probability_any_phase=nan,
+        **{name: getattr(prediction.robust, name) for name in names},
+        **{f"nominal_{name}": getattr(prediction.nominal, name) for name in names},
+        **dict.fromkeys(_OF_OPTIMIZER, math.nan),
     )
     for name in ("time", "rear_position", "front_position", "power"):
         setattr(response, name, getattr(prediction, name).tolist())

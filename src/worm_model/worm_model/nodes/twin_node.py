@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
@@ -38,8 +39,8 @@ from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import LOST_S, PositionSample, scene
 from worm_model.twin.stored_memory import is_due, stored_memory
 from worm_model.twin.twin import Output, Twin
-from worm_model.twin.twin_settings import rows
-from worm_model.twin.twin_status import report
+from worm_model.twin.twin_settings import PUBLISH_TF, rows
+from worm_model.twin.twin_status import position_deviation, report
 from worm_msgs import qos
 from worm_msgs.conditions import ConditionsError
 from worm_msgs.msg import BodyLength, TwinEvent, TwinMemory, TwinResiduals, TwinState
@@ -51,6 +52,11 @@ from worm_msgs.ros_process import (
     freeze_garbage_collection,
 )
 from worm_msgs.srv import PredictGait
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ModuleNotFoundError:  # the ROS wheels lack it
+    TFMessage = None
 
 POLL_S = 0.02  # time between two polls of the subscriptions
 MARKER_PERIOD_S = 0.1
@@ -86,6 +92,8 @@ class TwinNode(Node):
         ]
         self._states = self.create_publisher(TwinState, "twin/state", BURST)
         self._joints = self.create_publisher(JointState, "twin/joint_states", 10)
+        self._odometry = self.create_publisher(Odometry, "twin/odometry", 10)
+        self._frames = self.create_publisher(TFMessage, "tf", BURST) if TFMessage else None
         self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
         self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
         self._events = self.create_publisher(TwinEvent, "twin/events", _LATCHED)
@@ -161,11 +169,22 @@ class TwinNode(Node):
             self._states.publish(twin_messages.state_message(state))
         if len(output.states) and self._joints.get_subscription_count():
             self._joints.publish(twin_messages.joint_state(output.states[-1]))
+        if len(output.states):
+            self._publish_odometry(output.states[-1])
         for residuals in output.residuals:
             self._residuals.publish(twin_messages.residuals_message(residuals, output.warnings))
         for event in output.events:
             self._events.publish(twin_messages.event_message(event))
             self._log(event)
+
+    def _publish_odometry(self, state: np.void) -> None:
+        frames = self._frames if self.get_parameter(PUBLISH_TF).value else None
+        if not (self._odometry.get_subscription_count() or frames):
+            return
+        message = twin_messages.odometry(state, position_deviation(self._state, self._residual))
+        self._odometry.publish(message)
+        if frames:
+            frames.publish(TFMessage(transforms=[twin_messages.transform(message)]))
 
     def _log(self, event: Event) -> None:
         # Three separate calls, because rclpy raises an error if one line of code logs with different severities.
@@ -253,6 +272,8 @@ def run(ended: ShutdownRequest) -> None:
     node = TwinNode()
     freeze_garbage_collection()
     node.get_logger().info("twin ready")
+    if TFMessage is None:
+        node.get_logger().info("no transform from odom to base_link: tf2_msgs is not installed")
     try:
         _spin(node, ended)
     finally:

@@ -11,6 +11,7 @@ from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.parameter_rows import ParameterRow
 
 PARAMETER_FILE = "parameter_file"
+PUBLISH_TF = "publish_tf"
 
 
 def _row(default: float, low: float, high: float, description: str) -> float:
@@ -105,9 +106,13 @@ def rows() -> list[ParameterRow]:
     file = ParameterRow(
         PARAMETER_FILE, "", "Parameter file (YAML) of the model; empty: the paper's values."
     )
+    frames = ParameterRow(
+        PUBLISH_TF, True, "Publish the transform from odom to base_link; needs tf2_msgs."
+    )
     settings = dataclasses.fields(TwinSettings)
     return [
         file,
+        frames,
         *(
             ParameterRow(name, 0.0, f"{row['meaning']}, {row['unit']}", row["low"], row["high"])
             for name, row in CONDITION_ROWS.items()

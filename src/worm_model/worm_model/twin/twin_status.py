@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from worm_model.run import LengthSource
+from worm_model.twin.core.memory import POSITION
 from worm_model.twin.data.records import COMPLAINTS, NANOSECONDS, Health, Severity, residual_message
 from worm_model.twin.twin import TwinState
 
@@ -43,6 +44,23 @@ def _quiet_message(state: TwinState, health: Health) -> str:
     return "nothing to compare with"
 
 
+def _is_recent(state: TwinState, newest: Any) -> bool:
+    timeout_ns = RESIDUAL_TIMEOUT_S * NANOSECONDS
+    return newest is not None and bool(state.now_ns - newest["stamp_ns"] <= timeout_ns)
+
+
+def position_deviation(state: TwinState, newest: Any) -> float:
+    """Return the standard deviation (m) of x1: the root mean square of its residuals over about 2 s.
+
+    NaN without such residuals, as without a tracker. The arguments are those of `report`.
+    """
+    if not _is_recent(state, newest):
+        return math.nan
+    noise_square = state.record["noise_square"][POSITION]
+    size = newest["position_size"] * math.sqrt(newest["rear_position_scale"] ** 2 + noise_square)
+    return float(size)
+
+
 def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> TwinReport:
     """Return the twin's health, and the values that explain it.
 
@@ -51,9 +69,9 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> TwinReport:
         newest: the last row of residuals, None without one.
         silent_s: time since the newest sample arrived, s.
     """
-    m, now = state.record, state.now_ns
+    m = state.record
     health = Health.UNKNOWN
-    if newest is not None and now - newest["stamp_ns"] <= RESIDUAL_TIMEOUT_S * NANOSECONDS:
+    if _is_recent(state, newest):
         health = Health(int(newest["health"]))
     message = residual_message(newest, state.warnings) if health > Health.HEALTHY else ""
     level = _LEVELS[health]

@@ -4,8 +4,6 @@
 The script prints the folder of the kernel's cache.
 """
 
-from multiprocessing import Process
-
 import numpy as np
 
 from worm_model.gait import FORWARD, Gait
@@ -77,10 +75,5 @@ def _recording(gait: Gait) -> Run:
 
 
 if __name__ == "__main__":
-    both = Process(target=_call_core), Process(target=_call_kernel)
-    for part in both:
-        part.start()
-    for part in both:
-        part.join()
-    main()  # what the two have in common may be missing
+    main()
     print(cache_directory())  # noqa: T201 - for the script worm

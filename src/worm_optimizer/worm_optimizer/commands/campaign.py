@@ -11,7 +11,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +28,9 @@ from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
 from worm_optimizer.commands.report import add_identification
-from worm_optimizer.commands.robot_options import add_robot, robot_of
-from worm_optimizer.commands.search_options import add_campaign_options
-from worm_optimizer.commands.tuning_options import PROBABILITY
+from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
+from worm_optimizer.commands.start import add_robot, robot_of
+from worm_optimizer.commands.tune import PROBABILITY
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.processes import termination_as_interrupt
@@ -38,15 +38,15 @@ from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
 
 if TYPE_CHECKING:
-    from worm_optimizer.operation.campaign_plan import Plan
-    from worm_optimizer.operation.campaign_runs import Prepare
-    from worm_optimizer.operation.spread import Spread
-    from worm_optimizer.report.identification_parts import IdentificationParts
+    from worm_model.gait import Gait
+    from worm_optimizer.gait_prediction import Prediction
+    from worm_optimizer.operation.campaign_plan import Plan, Spread
+    from worm_optimizer.operation.campaign_runs import Measure, Prepare
     from worm_optimizer.report.recorded_gait import RecordedGait
 
+_MODES = ("virtual", "robot")
 _GAITS = 3  # gaits of a plan without comparisons; with more runs than this, the spread is drawn
 SPREAD_FIGURE = "spread.png"
-_MODES = ("virtual", "robot")
 SAME_PLACE = "Put the robot where the first run began: same grooves, fins straight"
 
 
@@ -113,10 +113,6 @@ def _parser() -> Parser:
 
 
 def _campaign(options: argparse.Namespace) -> int:
-    from worm_optimizer.commands.campaign_tune import tuned_plan
-    from worm_optimizer.operation import identification_runs
-    from worm_optimizer.operation.campaign_runs import run_gaits
-    from worm_optimizer.operation.spread import run_names
     from worm_optimizer.report.identification_parts import identification_of
 
     load_parameter_file(options.parameters)
@@ -124,34 +120,15 @@ def _campaign(options: argparse.Namespace) -> int:
         raise InputError(f"--repeats {options.repeats}: give 1 or more")
     if options.identify and options.identification:
         raise InputError("--identify creates the identification: remove --identification")
-    identification = None if options.identify else identification_of(options)
+    if not options.identify:
+        identification_of(options)  # raises the errors of its files before a node starts
     robot = robot_of(options, options.mode)
     folder = _folder(options)
     say = ProgressLog("campaign")
-    summary: dict[str, Any] = {}
     try:
         with termination_as_interrupt(), work_folder("campaign") as work:
-            robot = robot.in_folder(work)
-            if options.identify:
-                summary = _identify(options, robot, folder, work, say)
-                options.parameters = str(folder / identification_runs.PARAMETERS)
-                robot = robot.with_parameters(options.parameters)
-                options.identification = [
-                    folder / identification_runs.PARAMETERS,
-                    folder / identification_runs.REPORT,
-                ]
-                identification = identification_of(options)
-            plan = _plan(options, robot)
-            ask = _prompt("Put the robot where it has room") if _prompts(options) else _at_once
-            if options.tune:
-                plan, summary["tuning"] = tuned_plan(options, robot, plan, (folder, work), say, ask)
-            _promise(plan, folder)
-            names = run_names(tuple(plan.gaits), options.repeats)
-            orders = {
-                run: GaitCommand(plan.gaits[name].gait, CYCLES) for run, name in names.items()
-            }
-            (work / "logs" / "validation").mkdir()
-            run_gaits(robot, orders, folder, work / "logs" / "validation", say, ask)
+            campaign = _Campaign(options, robot.in_folder(work), folder, work / "logs", say)
+            names = campaign.run()
     except FAILURES as error:
         sys.stderr.write(f"campaign: {error}\n{_hint(options, folder)}")
         return FAILED
@@ -159,97 +136,191 @@ def _campaign(options: argparse.Namespace) -> int:
         sys.stderr.write(_hint(options, folder))
         raise
     say("comparing")
-    _compare(options, plan, names, folder, identification, summary, say)
+    campaign.compare(names)
     return 0
 
 
-def _compare(
-    options: argparse.Namespace,
-    plan: Plan,
-    names: Mapping[str, str],
-    folder: Path,
-    identification: IdentificationParts | None,
-    summary: dict[str, Any],
-    say: ProgressLog,
-) -> None:
-    """Write the report on the runs, whose gaits ``names`` contains by run, and print it with the ``summary``."""
-    from worm_optimizer.operation.campaign_runs import put_aside
-    from worm_optimizer.operation.spread import draw_spread, spread
-    from worm_optimizer.report.recordings import read_recorded_gaits
-    from worm_optimizer.report.report_page import Report, build_report
+class _Campaign:
+    """Campaign of a robot.
 
-    bags = [folder / run for run in names]
-    recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
-    title = f"Validation campaign ({options.mode} robot)"
-    report = Report(title, recorded, plan.optimisation, identification=identification)
-    spreads = [
-        spread(
-            name, promise, [r for run, r in zip(names, recorded, strict=True) if names[run] == name]
-        )
-        for name, promise in plan.gaits.items()
-    ]
-    put_aside(folder / "report", say)
-    page = build_report(report, folder / "report")
-    if len(recorded) > _GAITS:
-        draw_spread(folder / SPREAD_FIGURE, spreads)
-    _print(options, recorded, spreads, folder, page, summary)
-
-
-def _plan(options: argparse.Namespace, robot: Robot) -> Plan:
-    """Return the plan of the validation: three gaits of the exact front, and the gaits to compare them with."""
-    from worm_optimizer.commands.campaign_tune import settings_of_campaign
-    from worm_optimizer.operation.campaign_plan import make_plan, with_comparisons
-
-    content = load_parameter_file(options.parameters)
-    settings = settings_of_campaign(options, robot)
-    plan = make_plan(content, settings, options.direction)
-    nominal = options.with_nominal or options.identify
-    return with_comparisons(plan, content, settings, options.direction, nominal=nominal)
-
-
-def _identify(
-    options: argparse.Namespace, robot: Robot, folder: Path, work: Path, say: ProgressLog
-) -> dict[str, Any]:
-    """Record the missing runs, and identify the parameters unless the results exist.
-
-    Return the results of `identify`, the path of the parameter file and the paths of the bags.
+    Args:
+        options: command line. After an identification, it names the results of this identification.
+        robot: the robot.
+        folder: folder of bags and report.
+        logs: folder of the log files.
+        say: called with each line of progress.
     """
-    from worm_optimizer.operation import identification_runs
-    from worm_optimizer.operation.campaign_runs import put_aside
 
-    known = load_parameter_file(options.parameters)
-    folder.mkdir(parents=True, exist_ok=True)
-    orders = identification_runs.identification_orders(options.direction, known.parameters.pitch)
-    (work / "logs" / "identification").mkdir()
-    logs = work / "logs" / "identification"
-    ask = _prompt(SAME_PLACE) if _prompts(options) else identification_runs.put_back
-    bags = identification_runs.record_identification(robot, orders, folder, logs, say, ask)
-    summary_file = folder / identification_runs.SUMMARY
-    if not summary_file.exists():
-        for left in (
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        robot: Robot,
+        folder: Path,
+        logs: Path,
+        say: ProgressLog,
+    ) -> None:
+        self._options, self._robot, self._folder = options, robot, folder
+        self._logs, self._say = logs, say
+        self._summary: dict[str, Any] = {}  # of identification and tuning, for the output
+        self._prompts = options.identify and options.mode == "robot"
+
+    def run(self) -> dict[str, str]:
+        """Identify the robot and tune its gaits as requested, then run all gaits.
+
+        Return the name of the gait of each run, by the name of the run.
+        """
+        from worm_optimizer.operation.campaign_plan import promise, run_names
+        from worm_optimizer.operation.campaign_runs import run_gaits
+
+        options = self._options
+        if options.identify:
+            self._identify()
+        self._content = load_parameter_file(options.parameters)
+        self._settings = replace(chosen_settings(options), conditions=self._robot.conditions)
+        self._plan = self._planned()
+        ask = _prompt("Put the robot where it has room") if self._prompts else _at_once
+        if options.tune:
+            self._tune(ask)
+        promise(self._plan, self._folder)
+        names = run_names(tuple(self._plan.gaits), options.repeats)
+        orders = {
+            run: GaitCommand(self._plan.gaits[name].gait, CYCLES) for run, name in names.items()
+        }
+        logs = self._logs_of("validation")
+        run_gaits(self._robot, orders, self._folder, logs, self._say, ask)
+        return names
+
+    def _logs_of(self, stage: str) -> Path:
+        (self._logs / stage).mkdir()
+        return self._logs / stage
+
+    def _planned(self) -> Plan:
+        """Return the plan of the validation: three gaits of the exact front, and the gaits to compare them with."""
+        from worm_optimizer.operation.campaign_plan import make_plan, with_comparisons
+
+        given = self._content, self._settings, self._options.direction
+        nominal = self._options.with_nominal or self._options.identify
+        return with_comparisons(make_plan(*given), *given, nominal=nominal)
+
+    def _tune(self, ask: Prepare) -> None:
+        """Tune the three gaits of the plan on the robot, and predict the tuned gaits."""
+        from worm_optimizer.commands.tune import Aim, measured_step, tuned_json
+        from worm_optimizer.operation.campaign_runs import tune_gaits
+        from worm_optimizer.robustness.tuning import limits_of
+        from worm_optimizer.search.front import predicted_gaits, task_of
+
+        options, plan = self._options, self._plan
+        limits = limits_of(task_of(self._content, self._settings, options.direction))
+
+        def first(gait: Prediction) -> tuple[Gait, Measure]:
+            grooves = round(gait.grooves_per_cycle)
+            aim = Aim(options.probability or PROBABILITY, grooves, limits, options.parameters)
+            return gait.gait, lambda bags: measured_step(bags, aim, self._say)
+
+        three = {name: first(gait) for name, gait in plan.optimisation.front.three.items()}
+        logs = self._logs_of("tuning")
+        tuned = tune_gaits(self._robot, three, self._folder, logs, self._say, ask)
+        steps = {name: each.step.gait for name, each in tuned.items()}
+        gaits = predicted_gaits(steps, self._content, self._settings)
+        self._plan = replace(plan, gaits={**plan.gaits, **gaits})
+        self._summary["tuning"] = {name: tuned_json(each) for name, each in tuned.items()}
+
+    def _identify(self) -> None:
+        """Record the missing runs, identify the parameters unless the results exist, and use the parameters."""
+        from worm_optimizer.operation import identification_runs
+        from worm_optimizer.operation.campaign_runs import put_aside
+
+        options, folder, say = self._options, self._folder, self._say
+        known = load_parameter_file(options.parameters)
+        folder.mkdir(parents=True, exist_ok=True)
+        orders = identification_runs.identification_orders(
+            options.direction, known.parameters.pitch
+        )
+        logs = self._logs_of("identification")
+        ask = _prompt(SAME_PLACE) if self._prompts else identification_runs.put_back
+        bags = identification_runs.record_identification(
+            self._robot, orders, folder, logs, say, ask
+        )
+        report, parameters, summary = (
             folder / identification_runs.REPORT,
             folder / identification_runs.PARAMETERS,
-        ):
-            put_aside(left, say)  # incomplete results of an interrupted identification
-        say("identifying")
-        source = options.parameters or "the paper"
-        bench = identification_runs.Bench(options.bellows, options.fin)
-        if options.mode == "virtual" and bench == identification_runs.Bench(None, None):
-            bench = identification_runs.virtual_bench(robot, folder, work / "logs")
-        result = identification_runs.identify_robot(
-            bags, bench, (known, source), folder, StageProgress()
+            folder / identification_runs.SUMMARY,
         )
-        summary_file.write_text(json.dumps(finite(result)), encoding="utf-8")
-    content: dict[str, Any] = json.loads(summary_file.read_text(encoding="utf-8"))
-    return content | {
-        "parameter_file": str(folder / identification_runs.PARAMETERS),
-        "bags": [str(b) for b in bags],
-    }
+        if not summary.exists():
+            for left in (report, parameters):
+                put_aside(left, say)  # incomplete results of an interrupted identification
+            say("identifying")
+            source = options.parameters or "the paper"
+            bench = options.bellows, options.fin
+            if options.mode == "virtual" and bench == (None, None):
+                bench = identification_runs.virtual_bench(self._robot, folder, self._logs)
+            result = identification_runs.identify_robot(
+                bags, bench, (known, source), folder, StageProgress()
+            )
+            summary.write_text(json.dumps(finite(result)), encoding="utf-8")
+        self._summary = json.loads(summary.read_text(encoding="utf-8"))
+        self._summary |= {"parameter_file": str(parameters), "bags": [str(b) for b in bags]}
+        options.parameters = str(parameters)
+        options.identification = [parameters, report]
+        self._robot = self._robot.with_parameters(options.parameters)
+
+    def compare(self, names: Mapping[str, str]) -> None:
+        """Write the report on the runs, whose gaits ``names`` contains by run, and print it."""
+        from worm_optimizer.operation.campaign_plan import draw_spread, spread
+        from worm_optimizer.operation.campaign_runs import put_aside
+        from worm_optimizer.report.identification_parts import identification_of
+        from worm_optimizer.report.recordings import read_recorded_gaits
+        from worm_optimizer.report.report_page import Report, build_report
+
+        options, plan = self._options, self._plan
+        bags = [self._folder / run for run in names]
+        recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
+        title = f"Validation campaign ({options.mode} robot)"
+        parts = identification_of(options)
+        report = Report(title, recorded, plan.optimisation, identification=parts)
+        spreads = [
+            spread(
+                name,
+                promise,
+                [r for run, r in zip(names, recorded, strict=True) if names[run] == name],
+            )
+            for name, promise in plan.gaits.items()
+        ]
+        put_aside(self._folder / "report", self._say)
+        page = build_report(report, self._folder / "report")
+        if len(recorded) > _GAITS:
+            draw_spread(self._folder / SPREAD_FIGURE, spreads)
+        self._print(recorded, spreads, page)
+
+    def _print(self, gaits: Sequence[RecordedGait], spreads: Sequence[Spread], page: Path) -> None:
+        from worm_optimizer.operation.campaign_plan import spread_table
+        from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
+
+        judged = agreement_json(gaits)
+        content = {
+            "folder": str(self._folder),
+            "page": str(page),
+            **judged,
+            "spread": [asdict(row) for row in spreads],
+        }
+        content["gaits"] = [
+            {
+                **{name: row[name] for name in ("name", "agrees", "verdict", "grooves")},
+                "measured": _values(row["measured"]),
+                "expected": _values(row["expected"]),
+                "nominal": {key: getattr(gait.expected.nominal, key) for key in QUANTITIES},
+            }
+            for row, gait in zip(judged["runs"], gaits, strict=True)
+        ]
+        files = {"recordings": self._folder, "report": page}
+        if "parameter_file" in self._summary:
+            files = {"parameters": self._summary["parameter_file"], **files}
+        text = f"{describe(gaits)}\n\n{spread_table(spreads)}\n\n{labelled(files)}"
+        print_result(self._options, content | self._summary, text)
 
 
-def _prompts(options: argparse.Namespace) -> bool:
-    """Return True if the operator is prompted before each run: in a campaign of a real robot with --identify."""
-    return bool(options.identify) and options.mode == "robot"
+def _values(bands: dict[str, Any]) -> dict[str, float]:
+    return {quantity: band["value"] for quantity, band in bands.items()}
 
 
 def _at_once(_running: Session, _text: str) -> None:
@@ -296,8 +367,8 @@ def _folder(options: argparse.Namespace) -> Path:
 def _is_begun(options: argparse.Namespace, folder: Path) -> bool:
     """Return True if a folder contains a campaign that can be continued."""
     from worm_optimizer.operation.campaign_plan import PROMISES
+    from worm_optimizer.operation.campaign_runs import TUNING
     from worm_optimizer.operation.identification_runs import RUNS
-    from worm_optimizer.operation.tuning_runs import TUNING
 
     identified = options.identify and (folder / RUNS).is_dir()
     return (folder / PROMISES).is_file() or identified or (folder / TUNING).is_dir()
@@ -306,60 +377,6 @@ def _is_begun(options: argparse.Namespace, folder: Path) -> bool:
 def _hint(options: argparse.Namespace, folder: Path) -> str:
     """Return a line on how to continue an interrupted campaign; empty if nothing has begun."""
     return f"campaign: continue with --resume {folder}\n" if _is_begun(options, folder) else ""
-
-
-def _promise(plan: Plan, folder: Path) -> None:
-    """Write the predictions of a new campaign. If a continued campaign has other predictions, raise `InputError`."""
-    from worm_optimizer.operation.campaign_plan import PROMISES, is_promised, write_promises
-
-    folder.mkdir(parents=True, exist_ok=True)
-    if not (folder / PROMISES).exists():
-        write_promises(plan, folder)
-    elif not is_promised(plan, folder):
-        raise InputError(
-            f"{folder}: this campaign has other predictions: use the options of its start again"
-        )
-
-
-def _print(
-    options: argparse.Namespace,
-    gaits: Sequence[RecordedGait],
-    spreads: Sequence[Spread],
-    folder: Path,
-    page: Path,
-    summary: dict[str, Any],
-) -> None:
-    from worm_optimizer.operation.spread import spread_table
-    from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
-
-    judged = agreement_json(gaits)
-    content = {
-        "folder": str(folder),
-        "page": str(page),
-        **judged,
-        "spread": [asdict(row) for row in spreads],
-    }
-    content["gaits"] = [
-        {
-            "name": row["name"],
-            "measured": _values(row["measured"]),
-            "expected": _values(row["expected"]),
-            "nominal": {key: getattr(gait.expected.nominal, key) for key in QUANTITIES},
-            "agrees": row["agrees"],
-            "verdict": row["verdict"],
-            "grooves": row["grooves"],
-        }
-        for row, gait in zip(judged["runs"], gaits, strict=True)
-    ]
-    files = {"recordings": folder, "report": page}
-    if "parameter_file" in summary:
-        files = {"parameters": summary["parameter_file"], **files}
-    text = f"{describe(gaits)}\n\n{spread_table(spreads)}\n\n{labelled(files)}"
-    print_result(options, content | summary, text)
-
-
-def _values(bands: dict[str, Any]) -> dict[str, float]:
-    return {quantity: band["value"] for quantity, band in bands.items()}
 
 
 main = executable(_parser, _campaign)

@@ -110,7 +110,7 @@ def _capability(options: argparse.Namespace) -> None:
         points = curve(replace(task, margin=0.0), found["best"].largest_load)
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
-        from worm_optimizer.report.analysis_figures import capability_figure
+        from worm_optimizer.report.front_plots import capability_figure
 
         save_figure(capability_figure(found, points), figure)
     print_result(

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, executable, number
 from worm_model.parameters import load_parameters
-from worm_optimizer.commands.robot_options import add_robot, robot_of
+from worm_optimizer.commands.start import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import Check, ProgressLog, Say, session, work_folder
 from worm_optimizer.operation.processes import counted_interrupts
@@ -66,10 +66,10 @@ def _console(options: argparse.Namespace) -> int:
             "the console needs NiceGUI: pip install --group console, or use ./worm console"
         )
     from worm_optimizer.console.bag_library import BagLibrary
+    from worm_optimizer.console.console_page import HOST, serve
     from worm_optimizer.console.console_state import ConsoleState
     from worm_optimizer.console.control import PageControl
     from worm_optimizer.console.robot_worker import Notice, RobotWorker
-    from worm_optimizer.console.server import HOST, serve
 
     parameters = load_parameters(options.parameters)
     file = str(Path(options.parameters).resolve()) if options.parameters else ""

@@ -8,7 +8,6 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,12 +20,10 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.text_table import labelled
-from worm_optimizer.commands.objective_options import add_objective
-from worm_optimizer.commands.operate_run import add_run, check_run, own_gait, run
-from worm_optimizer.commands.tuning_options import add_aim, check_aim
+from worm_optimizer.commands.operate_run import add_run, add_tune, check_run, check_tune, run, tune
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import FAILURES
-from worm_optimizer.snapshot import Snapshot
+from worm_optimizer.robot_commands import Snapshot
 
 #: fields of the driver's state that `operate state` returns
 _STATE = (
@@ -101,13 +98,13 @@ def _parser() -> Parser:
             check_run,
         )
     )
-    _add_tune(
+    add_tune(
         add(
             "tune",
-            _tune,
+            tune,
             "Run a gait as `run` does, measure its margin, and repeat with the next gait until a cycle keeps its "
             "grooves with the requested probability. Every run is recorded.",
-            _check_tune,
+            check_tune,
         )
     )
     return parser
@@ -122,32 +119,6 @@ def _add_fault(parser: Parser) -> None:
     parser.add_number("--delay", "S", "time until the fault begins, s", 0.0)
     parser.add_number("--duration", "S", "duration, s; 0: the default of the fault", 0.0)
     parser.add_number("--value", "X", "value of the fault; 0: the default of the fault", 0.0)
-
-
-def _add_tune(parser: Parser) -> None:
-    parser.add_gait()
-    add_objective(parser)
-    add_aim(parser)
-    parser.add_conditions(None)
-    parser.add_argument(
-        "--record",
-        type=Path,
-        default=Path("bags"),
-        metavar="FOLDER",
-        help="record each run into a new bag in this folder (default: bags)",
-    )
-    parser.add_parameters()
-
-
-def _check_tune(options: argparse.Namespace) -> None:
-    own_gait(options)
-    check_aim(options)
-
-
-def _tune(node: OperatorNode, options: argparse.Namespace) -> int:
-    from worm_optimizer.commands.operate_tune import tune  # imports the kernel
-
-    return tune(node, options)
 
 
 def _operate(options: argparse.Namespace) -> int:

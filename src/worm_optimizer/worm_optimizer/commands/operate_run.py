@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The action `operate run`: a given or requested gait, recorded if wanted."""
+"""The actions `operate run` and `operate tune`: a given or requested gait, once or until its margin suffices."""
 
 from __future__ import annotations
 
@@ -8,28 +8,42 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, number, print_result
 from worm_model.run import Activity
 from worm_model.text_table import labelled
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
-from worm_optimizer.commands.objective_options import add_objective, request_of_options
+from worm_optimizer.commands.request import add_objective, request_of_options
+from worm_optimizer.commands.tune import (
+    Aim,
+    add_aim,
+    check_aim,
+    described,
+    measured_step,
+    tuned_json,
+)
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import (
+    DRIVER,
     OPTIMIZER,
+    GaitFailedError,
     OperatorNode,
     RejectedStartError,
     UnreachableError,
 )
-from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
+from worm_optimizer.operation.bring_up import CYCLES, ProgressLog, new_bag, recorded
 from worm_optimizer.operation.processes import counted_interrupts
-from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
+
+if TYPE_CHECKING:  # Numba loads slowly
+    from worm_optimizer.operation.campaign_runs import Tuned
+    from worm_optimizer.robustness.tuning import GaitLimits, Tuning
 
 _PROGRESS_S = 2.0  # shortest time between two lines of progress within a cycle, s
 
@@ -199,3 +213,93 @@ def _result_text(result: RunResult, bag: Path | None) -> str:
         **recording,
     }
     return f"{result.message}\n{labelled(rows)}"
+
+
+_LIMITS = ("limits.max_stroke_m", "limits.max_cable_speed_m_per_s")
+_ROUNDING = 1e-4  # of a stroke, m
+
+
+def add_tune(parser: Parser) -> None:
+    """Add the options of `tune`."""
+    parser.add_gait()
+    add_objective(parser)
+    add_aim(parser)
+    parser.add_conditions(None)
+    parser.add_argument(
+        "--record",
+        type=Path,
+        default=Path("bags"),
+        metavar="FOLDER",
+        help="record each run into a new bag in this folder (default: bags)",
+    )
+    parser.add_parameters()
+
+
+def check_tune(options: argparse.Namespace) -> None:
+    """Raise `InputError` for inadmissible options, before anything is requested."""
+    own_gait(options)
+    check_aim(options)
+
+
+def tune(node: OperatorNode, options: argparse.Namespace) -> int:
+    """Tune the gait of the options on the robot, and print the last step."""
+    from worm_optimizer.operation.campaign_runs import (  # here: Numba loads slowly
+        require_tracker,
+        tune_gait,
+    )
+
+    say = ProgressLog("operate")
+    require_tracker(node)
+    conditions = conditions_of(node, options, say)
+    gait, aim = _first_step(node, options, say)
+
+    def record(gait: Gait, number: int) -> Path:
+        name = f"{os.getpid()}_{number}"
+        bag = new_bag(options.record, "tune")
+        with recorded(node, bag, options.parameters, conditions, name) as path:
+            result = attended(node, GaitCommand(gait, CYCLES), say)
+        if not result.success:
+            raise GaitFailedError(f"run {number}: {result.message}")
+        return path
+
+    def measure(bags: Sequence[Path]) -> Tuning:
+        return measured_step(bags, aim, say)
+
+    return _print_tuned(options, tune_gait(gait, record, measure, say))
+
+
+def _first_step(
+    node: OperatorNode, options: argparse.Namespace, say: ProgressLog
+) -> tuple[Gait, Aim]:
+    """Return the first gait and the aim. A requested gait is to keep the grooves that the optimizer predicts."""
+    aim = Aim(options.probability, options.grooves, _limits(node), options.parameters)
+    own = own_gait(options)
+    if own is not None:
+        return own, aim
+    answer = requested(node, options, say)
+    return answer.gait, replace(aim, grooves=aim.grooves or round(answer.grooves_per_cycle))
+
+
+def _limits(node: OperatorNode) -> GaitLimits:
+    """Return the limits of the driver, less the rounding of a tuned gait."""
+    from worm_optimizer.robustness.tuning import GaitLimits
+
+    reach, speed = node.numbers(DRIVER, _LIMITS)
+    return GaitLimits(
+        lambda gait: min(reach - gait.pretension, speed * gait.stroke / gait.peak_speed) - _ROUNDING
+    )
+
+
+def _print_tuned(options: argparse.Namespace, tuned: Tuned) -> int:
+    from worm_optimizer.robustness.tuning import TuneState
+
+    step = tuned.step
+    print_result(options, tuned_json(tuned), "\n".join([*map(str, tuned.bags), described(step)]))
+    if step.state is TuneState.DONE:
+        return 0
+    if step.state is TuneState.RUN:
+        text = f"not done after {len(tuned.bags)} runs; continue with the gait that is printed"
+        print(f"operate: {text}", file=sys.stderr)  # noqa: T201
+    else:
+        print(f"operate: impossible: {step.reason}", file=sys.stderr)  # noqa: T201
+    return FAILED

@@ -104,7 +104,7 @@ def describe(
     summary = {
         **({"NSGA-II": _comparison_text(comparison)} if comparison else {}),
         "margin": f"{1e3 * front.margin:.2f} mm: {front.reason}",
-        "groove phase": f"{1e3 * front.cruise.groove_phase:+.2f} mm; all speeds hold for this phase",
+        "groove phase": f"{1e3 * front.three['cruise'].groove_phase:+.2f} mm; all speeds hold for this phase",
         "front": f"{len(front.gaits)} gaits",
         "verified": f"{strokes}{checks['frequencies']} frequencies; edges located to "
         f"{1e9 * checks['edge_tolerance']:g} nm; power {rises} with the stroke within the branches",

@@ -7,15 +7,15 @@ import argparse
 from dataclasses import asdict
 
 from worm_model.commands.command_line import (
-    InputError,
     Parser,
     elapsed,
     executable,
     figure_file,
+    number,
     print_result,
 )
+from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
-from worm_optimizer.commands.objective_options import add_objective, request_of_options
 from worm_optimizer.commands.search_options import (
     add_front_options,
     chosen_settings,
@@ -24,7 +24,7 @@ from worm_optimizer.commands.search_options import (
     success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.search.gait_request import RequestStatus, select
+from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
 
 
 def _parser() -> Parser:
@@ -37,6 +37,39 @@ def _parser() -> Parser:
     add_objective(parser)
     add_front_options(parser)
     return parser
+
+
+_NAMED = {
+    objective.name.lower(): objective
+    for objective in (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
+}
+
+
+def add_objective(parser: Parser) -> None:
+    """Add the options of a requested gait; see `request_of_options`."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--objective", choices=tuple(_NAMED), help="default cruise")
+    group.add_argument(
+        "--speed",
+        type=number,
+        metavar="MPS",
+        help="request the gait with the lowest power at this speed (m/s) or faster",
+    )
+    group.add_argument(
+        "--power",
+        type=number,
+        metavar="W",
+        help="request the fastest gait at this power (W) or less",
+    )
+
+
+def request_of_options(options: argparse.Namespace) -> GaitRequest:
+    """Return the request that the options of `add_objective` describe. Raises `InputError` for a bad value."""
+    if options.speed is not None:
+        return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
+    if options.power is not None:
+        return GaitRequest(Objective.MAX_SPEED_AT_POWER, options.power)
+    return GaitRequest(_NAMED[options.objective or "cruise"])
 
 
 def describe(gait: Prediction, uncertainty: str, warning: str) -> str:

@@ -53,7 +53,7 @@ def add_limit_options(parser: Parser) -> None:
 
 
 def add_campaign_options(parser: Parser) -> None:
-    """Add the options for the settings of a front. `robot_options.add_robot` adds those for the conditions."""
+    """Add the options for the settings of a front. `start.add_robot` adds those for the conditions."""
     rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)
     _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_ROWS))
 

@@ -22,16 +22,9 @@ from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
-from worm_optimizer.robustness.sobol import (
-    INDEX_HEADS,
-    NO_INDICES,
-    index_cells,
-    index_json,
-    warnings_of,
-)
 
 if TYPE_CHECKING:  # SciPy and Numba load slowly
-    from worm_optimizer.robustness.sensitivity import Sensitivity
+    from worm_optimizer.robustness.sensitivity import Indices, Sensitivity
 
 MOST_SAMPLES = 1 << 16  # largest number of base samples
 
@@ -60,6 +53,49 @@ def _parser() -> Parser:
     return parser
 
 
+#: Heads of the columns that `index_cells` returns.
+INDEX_HEADS = ("alone", "95 % bounds", "with others", "95 % bounds")
+
+
+def index_json(indices: Indices, inputs: Sequence[str]) -> dict[str, Any]:
+    """Return the indices of each input with their bounds, for JSON."""
+    return {
+        key: {
+            "first": indices.first[k],
+            "first_bounds": indices.first_bounds[:, k],
+            "total": indices.total[k],
+            "total_bounds": indices.total_bounds[:, k],
+        }
+        for k, key in enumerate(inputs)
+    }
+
+
+def percent(value: float) -> str:
+    """Return a share as a percentage, never as "-0.0 %". Of an impossible share, return the bound that it exceeds."""
+    rounded = round(100.0 * value, 1)
+    if rounded < 0.0:
+        return "< 0 %"
+    return "> 100 %" if rounded > 100.0 else f"{rounded + 0.0:.1f} %"
+
+
+def index_cells(indices: Indices, row: int) -> list[str]:
+    """Return the first-order index of an input, its bounds, its total index and the bounds of that as text."""
+    first, total = indices.first[row], indices.total[row]
+    bounds = indices.first_bounds[:, row], indices.total_bounds[:, row]
+    texts = [" to ".join(map(percent, ends)) for ends in bounds]
+    return [percent(first), texts[0], percent(total), texts[1]]
+
+
+def warnings_of(name: str, indices: Indices, inputs: Sequence[str]) -> list[str]:
+    """Return the reasons to distrust the indices of a result."""
+    if not indices.inconsistent.size:
+        return []
+    listed = ", ".join(inputs[k] for k in indices.inconsistent)
+    return [
+        f"{name}: indices of {listed} are below 0 %, above 100 % or in the wrong order: use more samples"
+    ]
+
+
 def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
     """Return the indices by quantity and parameter, with 95 % bounds."""
     result: dict[str, Any] = {"parameters": list(content.parameters)}
@@ -82,7 +118,7 @@ def _warnings(content: Sensitivity) -> list[str]:
 
 def describe(content: Sensitivity) -> str:
     """Return the most important parameters of each quantity as text."""
-    from worm_optimizer.robustness.sensitivity import SYMBOLS, UNITS
+    from worm_optimizer.robustness.sensitivity import NO_INDICES, SYMBOLS, UNITS
 
     shown = {"speed": (1e3, "mm/s"), "power": (1.0, "W"), "cliff_margin": (1e3, "mm")}
     heads = ("parameter", "symbol", *INDEX_HEADS, "range of the parameter")
@@ -118,7 +154,7 @@ def _run(options: argparse.Namespace) -> None:
     result = sensitivity(gait, content, options.samples, options.seed)
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
-        from worm_optimizer.report.analysis_figures import sensitivity_figure
+        from worm_optimizer.report.front_plots import sensitivity_figure
 
         save_figure(sensitivity_figure(result), figure)
     print_result(options, sensitivity_json(result), describe(result))

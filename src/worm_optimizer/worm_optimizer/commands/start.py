@@ -8,12 +8,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from worm_model.commands.command_line import FAILED, Parser, executable
-from worm_optimizer.commands.robot_options import add_robot, robot_of
+from worm_model.commands.command_line import FAILED, InputError, Parser, executable
+from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import FAILURES, ProgressLog, Session, session
 from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
-from worm_optimizer.operation.system import RESTARTS
+from worm_optimizer.operation.system import RESTARTS, Robot, installed_system_file
 
 
 def _parser() -> Parser:
@@ -31,6 +31,37 @@ def _parser() -> Parser:
     add_robot(parser)
     parser.add_parameters()
     return parser
+
+
+def add_robot(parser: Parser) -> None:
+    """Add --set and the conditions in the pipe; see `robot_of`."""
+    parser.add_conditions(None)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="setting of system.yaml, such as port=/dev/ttyUSB0 or seed=2; may be repeated",
+    )
+
+
+def robot_of(options: argparse.Namespace, mode: str) -> Robot:
+    """Return the robot of a mode with the settings of the options. Raises `InputError` if a setting is invalid."""
+    settings = (
+        {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
+    )
+    for name in CONDITION_ROWS:
+        if (value := getattr(options, name)) is not None:
+            settings[name] = repr(value)
+    for text in options.set:
+        name, separator, value = text.partition("=")
+        if not (name and separator):
+            raise InputError(f"--set {text}: write NAME=VALUE")
+        settings[name] = value
+    robot = Robot(installed_system_file(), mode, settings)
+    robot.system()
+    robot.conditions  # noqa: B018 (raises InputError)
+    return robot
 
 
 def _start(options: argparse.Namespace) -> int:

@@ -14,17 +14,17 @@ from worm_model.commands.command_line import (
     Parser,
     executable,
     notifier,
+    number,
     print_result,
 )
-from worm_model.commands.margin import measured_margins
+from worm_model.commands.margin import add_grooves, check_grooves, measured_margins
 from worm_model.gait import named_values
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
-from worm_optimizer.commands.tuning_options import add_aim, check_aim
 
 if TYPE_CHECKING:  # ROS, SciPy and Numba load slowly
     from worm_model.margin.measured_margin import RunMargin
-    from worm_optimizer.operation.tuning_runs import Tuned
+    from worm_optimizer.operation.campaign_runs import Tuned
     from worm_optimizer.robustness.tuning import GaitLimits, Tuning
 
 
@@ -46,6 +46,31 @@ def _parser() -> Parser:
     parser.add_parameters("the file in the bag, else the paper's values")
     parser.add_json()
     return parser
+
+
+PROBABILITY = 0.99  # default
+
+
+def add_aim(parser: Parser) -> None:
+    """Add the probability and the grooves that a tuning is to reach."""
+    parser.add_argument(
+        "--probability",
+        type=number,
+        default=PROBABILITY,
+        metavar="P",
+        help=f"probability that a cycle keeps its grooves (default: {PROBABILITY})",
+    )
+    add_grooves(
+        parser,
+        "the most in any cycle of the runs but their first; of a requested gait, the predicted ones",
+    )
+
+
+def check_aim(options: argparse.Namespace) -> None:
+    """Raise `InputError` if the options of `add_aim` are inadmissible."""
+    if not 0.0 < options.probability < 1.0:
+        raise InputError(f"--probability {options.probability:g}: give a number between 0 and 1")
+    check_grooves(options)
 
 
 @dataclass(frozen=True)
@@ -77,11 +102,7 @@ def aim_of(options: argparse.Namespace, direction: int) -> Aim:
 
 
 def runs_of(bags: Sequence[Path], parameters: str, grooves: int | None) -> list[RunMargin]:
-    """Return the last measured run of each bag, all for the same number of grooves.
-
-    Raises:
-        InputError: A bag cannot be read, is given twice or has no run, or the directions differ.
-    """
+    """Return the last measured run of each bag, all for the same number of grooves."""
     twice = [
         bag for number, bag in enumerate(bags) if bag.resolve() in map(Path.resolve, bags[:number])
     ]
@@ -127,11 +148,7 @@ def tuning_of(runs: Sequence[RunMargin], aim: Aim, last: Path) -> Tuning:
 
 
 def measured_step(bags: Sequence[Path], aim: Aim, say: Callable[[str], None]) -> Tuning:
-    """Return the next step of a tuning from the bags of its runs; ``say`` gets the last margins and the step as lines.
-
-    Raises:
-        InputError: A bag cannot be read, or its margin was not measured.
-    """
+    """Return the next step of a tuning from the bags of its runs; ``say`` gets the last margins and the step."""
     runs = runs_of(bags, aim.parameter_file, aim.grooves)
     say(str(runs[-1]))
     tuning = tuning_of(runs, aim, bags[-1])

@@ -77,9 +77,6 @@ class BagLibrary:
         Args:
             names: names of the bags.
             parameter_file: parameter file for the expected values; empty: the parameters in the recordings.
-
-        Raises:
-            InputError: A bag is missing, or the report cannot be made.
         """
         bags = [self.bag(name) for name in names]
         stated = [parameter_file] if parameter_file else []
@@ -116,11 +113,7 @@ def _digest(files: Sequence[Path]) -> str:
 
 
 async def _run(command: Sequence[str], *arguments: str) -> str:
-    """Run a process with low priority, so that it does not delay the robot's nodes, and return its output.
-
-    Raises:
-        InputError: The process failed. The message is the last line of its error output.
-    """
+    """Run a process with low priority, so that it does not delay the robot's nodes, and return its output."""
     process = await asyncio.create_subprocess_exec(
         "nice",
         *command,

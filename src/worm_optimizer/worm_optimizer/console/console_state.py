@@ -19,7 +19,7 @@ from worm_optimizer.console.page_actions import Front
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.console.view import HISTORY_S, SAMPLE_S, Sample, live_twin, sample
-from worm_optimizer.snapshot import Snapshot
+from worm_optimizer.robot_commands import Snapshot
 
 _FRESH_S = 0.02  # time for which all pages share a snapshot, s
 

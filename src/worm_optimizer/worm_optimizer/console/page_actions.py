@@ -16,8 +16,7 @@ from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import DRIVER, OperatorNode
 from worm_optimizer.nodes.service_caller import OperatorError
-from worm_optimizer.operation.bring_up import Say
-from worm_optimizer.operation.recorded_run import new_bag, recorded
+from worm_optimizer.operation.bring_up import Say, new_bag, recorded
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.gait_request import SAME_LENGTH, GaitRequest, Objective
 

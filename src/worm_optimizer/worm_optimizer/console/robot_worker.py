@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import FAILURES, Check, Say
-from worm_optimizer.snapshot import Snapshot
+from worm_optimizer.robot_commands import Snapshot
 
 STOP_PRESSED = "STOP was pressed"  # reason of the cancellation of a command by a person
 _POLL_S = 1.0  # longest wait of a thread for a command or a request, s

@@ -11,7 +11,7 @@ from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health, StateRecord
 from worm_model.twin.run_margins import spare_of
 from worm_model.twin.watch_view import STALE_S
-from worm_optimizer.snapshot import Snapshot
+from worm_optimizer.robot_commands import Snapshot
 
 SOURCES: Mapping[str, str] = {  # topic and the name of its source
     "body_length/commanded": "driver",

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from worm_model.errors import InputError
 from worm_model.parameters import Parameters
 from worm_optimizer.evaluation.command_shape import (
     SINUSOID,
@@ -19,7 +20,6 @@ from worm_optimizer.evaluation.command_shape import (
     pull_rate,
     sample_phases,
 )
-from worm_optimizer.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class ActuatorLimits:
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
             if not value > 0.0:
-                raise OptimizerError(f"limits: {name} = {value}: give a positive number")
+                raise InputError(f"limits: {name} = {value}: give a positive number")
 
     @property
     def need_simulation(self) -> bool:

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from worm_model.errors import InputError
 from worm_msgs.driver_file import read_driver_file
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
 from worm_msgs.settings_file import key
 from worm_msgs.yaml_file import SettingsFileError
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds
-from worm_optimizer.optimizer_errors import OptimizerError
 
 _SHUNT_RANGE = 0.32  # largest shunt voltage that an INA219 measures, V (TI SBOS448, PGA = /8)
 
@@ -89,23 +89,23 @@ def _initial(value: Initial) -> int:
 def servo_model(name: str) -> Motor | None:
     """Return the servo model with a name, which may end with the bus (-T or -R); None for an empty name.
 
-    Raises `OptimizerError`, with the known names, if the name is unknown.
+    Raises `InputError`, with the known names, if the name is unknown.
     """
     if not name:
         return None
     models = servo_models()
     plain = name.removesuffix("-T").removesuffix("-R")  # suffix of the bus (TTL or RS-485)
     if plain not in models:
-        raise OptimizerError(f"servo model: {name!r} is none of {', '.join(models)}")
+        raise InputError(f"servo model: {name!r} is none of {', '.join(models)}")
     return models[plain]
 
 
 def load_driver_file(path: str | Path) -> DrivenBy:
-    """Return the limits in the driver's parameter file. Raises `OptimizerError` if `read_driver_file` rejects it."""
+    """Return the limits in the driver's parameter file. Raises `InputError` if `read_driver_file` rejects it."""
     try:
         row = read_driver_file(path)
     except SettingsFileError as error:
-        raise OptimizerError(str(error)) from None
+        raise InputError(str(error)) from None
     sensor = min(row.max_current, _SHUNT_RANGE / row.shunt_resistance)
     return DrivenBy(
         spool_radii=row.spool_radii,
@@ -149,15 +149,15 @@ def within(
 ) -> tuple[Bounds, ActuatorLimits]:
     """Return a box and limits, tightened to those of the driver's parameter file and a servo model.
 
-    An empty ``file`` changes nothing. Raises `OptimizerError` if the file, the model or the supply ``voltage`` (V) is
+    An empty ``file`` changes nothing. Raises `InputError` if the file, the model or the supply ``voltage`` (V) is
     invalid, if the box becomes empty, or if a model or a voltage is given without a file.
     """
     known = servo_model(model)
     if voltage is not None and not 0.0 < voltage < math.inf:
-        raise OptimizerError(f"supply voltage: {voltage} V: give a finite positive number")
+        raise InputError(f"supply voltage: {voltage} V: give a finite positive number")
     if not file:
         if model or voltage is not None:
-            raise OptimizerError(
+            raise InputError(
                 "servo model and supply voltage have no effect without the driver's parameter file, "
                 "which contains the spool radii: give this file, too"
             )

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from worm_model.errors import InputError
 from worm_model.gait import AVERAGED, FREQUENCY_RANGE, STROKE_RANGE
 from worm_model.parameters import PAPER, Parameters
 from worm_msgs.gait import FORWARD, MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE, REVERSE
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, Peaks, peaks
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rate
 from worm_optimizer.evaluation.runs import Array, Index, find_runs
-from worm_optimizer.optimizer_errors import OptimizerError
 
 if TYPE_CHECKING:  # Numba loads slowly
     from worm_model.simulation.batch import GaitTable
@@ -39,7 +39,7 @@ class Bounds:
     """Box of gaits, with strokes in m and frequencies in Hz.
 
     In the paper, the box is p_min ≤ [S, f] ≤ p_max in the text after eq:moo_formulation. The defaults are the paper's.
-    A quantity with equal bounds is fixed. Raises `OptimizerError` unless 0 < low ≤ high ≤ the maximum of a
+    A quantity with equal bounds is fixed. Raises `InputError` unless 0 < low ≤ high ≤ the maximum of a
     gait, for strokes and frequencies.
     """
 
@@ -55,7 +55,7 @@ class Bounds:
 
 def _check_range(name: str, low: float, high: float, most: float, unit: str) -> None:
     if not 0.0 < low <= high <= most:
-        raise OptimizerError(
+        raise InputError(
             f"bounds: {name} from {low:g} to {high:g} {unit}: "
             f"give positive values, the lower first, of at most {most:g} {unit}"
         )
@@ -150,7 +150,7 @@ class MarginTask:
     ``bounds.stroke_high`` limits the largest contraction, including the pretension. ``holding_power`` (W/N) times the
     mean pull of the cable is added to the power, because servos draw current for a torque even at standstill.
 
-    Raises `OptimizerError` if the margin, the direction, a stroke of the box or a limit is inadmissible.
+    Raises `InputError` if the margin, the direction, a stroke of the box or a limit is inadmissible.
     """
 
     parameters: Parameters = PAPER
@@ -162,19 +162,19 @@ class MarginTask:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.margin <= MAX_MARGIN:
-            raise OptimizerError(f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m")
+            raise InputError(f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m")
         if self.direction not in (FORWARD, REVERSE):
-            raise OptimizerError(
+            raise InputError(
                 f"direction: {self.direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
             )
         length, idle = self.parameters.initial_length, self.parameters.idle_power
         if self.bounds.stroke_high >= length:
-            raise OptimizerError(
+            raise InputError(
                 f"bounds: stroke up to {self.bounds.stroke_high:g} m; the body is {length:g} m long. "
                 f"Use strokes below {length:g} m"
             )
         if self.limits.electrical_power <= idle:
-            raise OptimizerError(
+            raise InputError(
                 f"limits: electrical_power = {self.limits.electrical_power:g} W is at most the idle power of "
                 f"{idle:g} W, so that no gait satisfies this limit: raise it"
             )

@@ -50,9 +50,9 @@ from worm_optimizer.robot_commands import (
     GaitCommand,
     Progress,
     RunResult,
+    Snapshot,
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective
-from worm_optimizer.snapshot import Snapshot
 
 REQUEST_GAIT = "request_gait"
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
@@ -295,11 +295,7 @@ class OperatorNode(ServiceCaller):
         return "holding; nothing starts before the emergency stop is reset"
 
     def reset_emergency_stop(self) -> str:
-        """Withdraw the emergency stop and permit starts again; return the driver's report.
-
-        Raises:
-            OperatorError: The driver rejects the reset, or a pressed button repeats the stop.
-        """
+        """Withdraw the emergency stop and permit starts again; return the driver's report."""
         response = Trigger.Response()
 
         def is_reset() -> bool:
@@ -331,9 +327,6 @@ class OperatorNode(ServiceCaller):
         Args:
             name: name of the fault.
             details: other fields of the request InjectFault: target, delay, duration, count, value.
-
-        Raises:
-            OperatorError: The virtual robot rejects the fault or does not answer.
         """
         fault = InjectFault.Request(name=name, **details)
         response = self.call(InjectFault, "inject_fault", fault)
@@ -421,11 +414,7 @@ class OperatorNode(ServiceCaller):
         return run
 
     def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
-        """Set parameters of a node atomically: if a value is rejected, none is set.
-
-        Raises:
-            OperatorError: The node rejects a value or does not answer.
-        """
+        """Set parameters of a node atomically: if a value is rejected, none is set."""
         parameters = [Parameter(name=name, value=_value(value)) for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
         service = f"{node}/set_parameters_atomically"

@@ -11,15 +11,15 @@ from worm_msgs.gait import GAIT_UNITS
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import RobustFront, price_warning
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.search_settings import (
+    Robustness,
     ScanSettings,
     Settings,
-    robustness_of,
-    waveform_of,
+    Waveform,
+    choice_of,
 )
 
 
@@ -58,32 +58,23 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
     or 0, the value in ``base`` applies.
 
     Raises:
-        OptimizerError: A value is inadmissible.
+        InputError: A value is inadmissible.
     """
     return dataclasses.replace(
         base,
         seed=int(goal.seed),
         margin=None if math.isnan(goal.margin) else goal.margin,
         margin_force=goal.margin_force or None,
-        waveform=waveform_of(goal.waveform) if goal.waveform else base.waveform,
-        robustness=robustness_of(goal.robustness) if goal.robustness else base.robustness,
+        waveform=choice_of(Waveform, goal.waveform) if goal.waveform else base.waveform,
+        robustness=choice_of(Robustness, goal.robustness) if goal.robustness else base.robustness,
         probability=goal.probability or base.probability,
     )
-
-
-def direction_of(value: int) -> int:
-    """Return the direction of a goal. Raises `OptimizerError` if it is neither forward nor reverse."""
-    if value not in (Gait.FORWARD, Gait.REVERSE):
-        raise OptimizerError(
-            f"direction: {value} is neither {Gait.FORWARD} (forward) nor {Gait.REVERSE} (reverse)"
-        )
-    return int(value)
 
 
 def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
     """Return the settings of the node (``base``) with the margins of a goal.
 
-    If ``highest`` or ``step`` of the goal is 0, the value in ``base`` applies. Raises `OptimizerError` if the
+    If ``highest`` or ``step`` of the goal is 0, the value in ``base`` applies. Raises `InputError` if the
     margins are inadmissible.
     """
     margins = ScanSettings(

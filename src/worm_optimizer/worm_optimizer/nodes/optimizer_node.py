@@ -16,17 +16,16 @@ from rclpy.parameter import Parameter
 
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
-from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
+from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
-from worm_msgs.conditions import CONDITION_ROWS, ConditionsError
-from worm_msgs.gait import Gait, GaitError, gait_of
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import Gait, gait_of
 from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import optimizer_messages
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import gait_request
 from worm_optimizer.search.front import RobustFront, given_gait, make_front, scanned_price
 from worm_optimizer.search.search_settings import (
@@ -38,7 +37,7 @@ from worm_optimizer.search.search_settings import (
     settings_of,
 )
 
-REJECTIONS = (ConditionsError, OptimizerError, ParameterError)
+REJECTIONS = (InputError,)
 # Largest number of stored fronts for initial lengths other than that of the parameters
 MOST_RESTING = 8
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
@@ -47,12 +46,12 @@ _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 
-class ShutdownError(OptimizerError):
+class ShutdownError(InputError):
     """A signal ended the computation."""
 
 
 def _settings_of_node(node: Node) -> Settings:
-    """Return the search settings from a node's parameters. Raises `OptimizerError` if they are inconsistent."""
+    """Return the search settings from a node's parameters. Raises `InputError` if they are inconsistent."""
     return settings_of({row.parameter: node.get_parameter(row.parameter).value for row in SETTINGS})
 
 
@@ -111,7 +110,7 @@ class OptimizerNode(Node):
         ended: request to end the process, which also ends a running computation.
 
     Raises:
-        ParameterError, ConditionsError, OptimizerError, OSError: A parameter of the node is invalid.
+        InputError, OSError: A parameter of the node is invalid.
     """
 
     def __init__(self, ended: ShutdownRequest) -> None:
@@ -157,19 +156,19 @@ class OptimizerNode(Node):
             self._front(FORWARD)
         except ShutdownError:
             return
-        except (OptimizerError, SimulationError) as error:
+        except (InputError, SimulationError) as error:
             self.get_logger().error(f"the forward front cannot be computed: {error}")
 
     def _front(self, direction: int) -> RobustFront:
         """Return the front of a direction, and compute it if it is not stored.
 
-        Raises `OptimizerError` or `SimulationError` if it cannot be computed.
+        Raises `InputError` or `SimulationError` if it cannot be computed.
         """
         if direction not in self._fronts:
             self._failures.pop(direction, None)
             try:
                 self._store(self._computed(make_front, self._content, self._settings, direction))
-            except (OptimizerError, SimulationError) as error:
+            except (InputError, SimulationError) as error:
                 self._failures[direction] = str(error)
                 raise
         return self._fronts[direction]
@@ -228,9 +227,9 @@ class OptimizerNode(Node):
                 answer = self._prediction(gait_of(request.gait), content)
             else:
                 wanted = gait_request.request_of(request.objective, request.speed, request.power)
-                gait_request.check_direction(request.direction)
-                answer = self._answer(wanted, request.direction, content)
-        except (OptimizerError, GaitError, SimulationError) as error:
+                direction = gait_request.checked_direction(request.direction)
+                answer = self._answer(wanted, direction, content)
+        except (InputError, SimulationError) as error:
             answer = gait_request.GaitAnswer(gait_request.RequestStatus.INVALID, str(error))
         return optimizer_messages.fill_response(response, answer)
 
@@ -247,7 +246,7 @@ class OptimizerNode(Node):
             if content is not self._content:
                 front = self._resting_front(front, content)
             answer = gait_request.select(front, wanted)
-        except (OptimizerError, SimulationError) as error:
+        except (InputError, SimulationError) as error:
             return gait_request.GaitAnswer(
                 gait_request.RequestStatus.NO_FRONT, f"there is no front: {error}"
             )
@@ -271,7 +270,7 @@ class OptimizerNode(Node):
                 self._resting.pop(next(iter(self._resting)))
             resting = self._computed(make_front, content, settings, front.direction)
             if settings.robustness is Robustness.MARGIN:
-                phase = 1e3 * front.cruise.groove_phase
+                phase = 1e3 * front.three["cruise"].groove_phase
                 reason = f"as at groove phase {phase:.1f} mm: {front.reason}"
                 resting = dataclasses.replace(resting, reason=reason)
             self._resting[key] = resting
@@ -291,8 +290,8 @@ class OptimizerNode(Node):
         def why_not(goal: Any) -> str:
             try:
                 settings_of(self._settings, goal)
-                optimizer_messages.direction_of(goal.direction)
-            except OptimizerError as error:
+                gait_request.checked_direction(goal.direction)
+            except InputError as error:
                 return str(error)
             return ""
 
@@ -305,9 +304,9 @@ class OptimizerNode(Node):
         """
         try:
             settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
-            direction = optimizer_messages.direction_of(goal.request.direction)
+            direction = gait_request.checked_direction(goal.request.direction)
             front = self._computed(make_front, self._content, settings, direction)
-        except (OptimizerError, SimulationError) as error:
+        except (InputError, SimulationError) as error:
             goal.abort()
             return OptimizeGaits.Result(message=str(error))
         self._settings = settings
@@ -319,9 +318,9 @@ class OptimizerNode(Node):
     def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
         try:
             settings = optimizer_messages.scan_of_goal(self._settings, goal.request)
-            direction = optimizer_messages.direction_of(goal.request.direction)
+            direction = gait_request.checked_direction(goal.request.direction)
             price = self._computed(scanned_price, self._content, settings, direction)
-        except (OptimizerError, SimulationError) as error:
+        except (InputError, SimulationError) as error:
             goal.abort()
             return ScanMargin.Result(message=str(error))
         goal.succeed()

@@ -27,7 +27,7 @@ from worm_msgs.msg import (
     TwinState,
 )
 from worm_msgs.qos import LATCHED
-from worm_optimizer.snapshot import DriverState, Snapshot
+from worm_optimizer.robot_commands import DriverState, Snapshot
 
 T = TypeVar("T")
 

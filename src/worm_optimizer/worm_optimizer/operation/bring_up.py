@@ -9,15 +9,18 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from worm_model.errors import RecordingError
+from worm_model.bags.formats.finding import METADATA_FILE, TIME_FIELD
+from worm_model.errors import InputError, RecordingError
 from worm_msgs.claim import domain_of, holder
+from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.operator_node import (
     GaitFailedError,
     OperatorNode,
+    RejectedStartError,
     operator,
 )
 from worm_optimizer.nodes.service_caller import OperatorError
@@ -27,7 +30,14 @@ from worm_optimizer.operation.processes import (
     ProcessGroup,
     executable_command,
 )
-from worm_optimizer.operation.system import DRIVER, NodeDescription, System
+from worm_optimizer.operation.system import (
+    DRIVER,
+    RECORDER,
+    NodeDescription,
+    System,
+    installed_system_file,
+    settings_of,
+)
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 START_S = 120.0  # timeout for the start of a recorder, s; sufficient on a busy computer
@@ -231,9 +241,6 @@ def recording(
         node: the operator.
         recorder: description of the recorder in the system file.
         name: name of the process and node of the new recorder, which must be unique.
-
-    Raises:
-        ProcessError, OperatorError: The recorder did not start, subscribe or end properly.
     """
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
@@ -245,11 +252,7 @@ def recording(
 
 
 def bag_of(recorder: Process) -> Path:
-    """Return the path of a recorder's bag. The recorder logs this path at its start.
-
-    Raises:
-        ProcessError: The recorder does not log the path.
-    """
+    """Return the path of a recorder's bag. The recorder logs this path at its start."""
     return Path(recorder.wait_for_line(r": recording to (.+)$", START_S)[1])
 
 
@@ -280,3 +283,55 @@ def load(late_cycles: int) -> str:
     if late_cycles:
         shares.append(f"{late_cycles} cycles of the driver late")
     return f" (the computer was busy: {', '.join(shares)})" if shares else ""
+
+
+def new_bag(folder: Path, kind: str = "run") -> Path:
+    """Create a folder of bags, and return the path of a new bag in it. The recorder inserts the time into the path.
+
+    Args:
+        folder: folder of bags.
+        kind: first part of the bag's name, followed by the time.
+    """
+    folder = folder.resolve()
+    if (folder / METADATA_FILE).exists():
+        raise InputError(f"{folder}: is a bag; give a folder that contains bags")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}") from None
+    return folder / f"{kind}_{TIME_FIELD}"
+
+
+@contextmanager
+def recorded(
+    node: OperatorNode, bag: Path, parameter_file: str, conditions: Conditions, name: str
+) -> Iterator[Path]:
+    """Record during this context with a separate recorder, and provide the path of the bag; see `recording`.
+
+    If the driver rejects the gait, the bag is removed.
+
+    Args:
+        node: the operator.
+        bag: path of a new bag, see `new_bag`.
+        parameter_file: parameter file to store in the bag; empty: none.
+        conditions: conditions to store in the bag.
+        name: last part of the name of the recorder's node, unique among all recorders.
+    """
+    system = installed_system_file().system(
+        "robot",
+        node.get_namespace().strip("/"),
+        bag=str(bag),
+        parameter_file=str(Path(parameter_file).resolve()) if parameter_file else "",
+        **settings_of(conditions),
+    )
+    with (
+        ExitStack() as removal,
+        work_folder("record") as work,
+        ProcessGroup(work / "logs") as group,
+        recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}") as path,
+    ):
+        try:
+            yield path
+        except (InputError, RejectedStartError):  # nothing moved
+            removal.callback(shutil.rmtree, path)  # when the recorder has ended
+            raise

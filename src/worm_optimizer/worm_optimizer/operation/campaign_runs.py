@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a campaign: gaits from rest, each recorded into its own bag."""
+"""Runs of a campaign: gaits from rest, each recorded into its own bag, and the tuning of gaits from such runs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from worm_model.analysis.run_metrics import last_played_gait
@@ -12,11 +14,13 @@ from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError
+from worm_model.gait import Gait
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.nodes.robot_telemetry import TrackerWatch
-from worm_optimizer.operation.bring_up import Say, Session, recording, session
+from worm_optimizer.operation.bring_up import CYCLES, Say, Session, recording, session
 from worm_optimizer.operation.system import RECORDER, Robot, System
 from worm_optimizer.robot_commands import GaitCommand
+from worm_optimizer.robustness.tuning import TuneState, Tuning
 
 #: Prepares a run. Arguments: session, and description of the run.
 Prepare = Callable[[Session, str], None]
@@ -46,9 +50,6 @@ def run_gaits(
         logs: folder of the log files.
         say: called with each line of progress.
         prepare: called before each gait; raises an exception to end the campaign.
-
-    Raises:
-        ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     missing = {name: order for name, order in orders.items() if not is_recorded(folder / name)}
     for name in orders:
@@ -122,3 +123,80 @@ def _record_gait(running: Session, system: System, name: str, order: GaitCommand
     running.say(f"{name}: {order}")
     with recording(running.group, running.node, system.node(RECORDER), f"{RECORDER}_{name}"):
         running.run_gait(order)
+
+
+MOST_RUNS = 5
+TUNING = "tuning"  # folder of a campaign's bags
+
+#: Runs a gait and returns its bag. Arguments: the gait, and the number of the run from 1. Raises an exception to end.
+Record = Callable[[Gait, int], Path]
+#: Returns the next step from the bags so far. Raises an exception if the last run was not measured.
+Measure = Callable[[Sequence[Path]], Tuning]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Last step of a tuning, and the bags of its runs. In the state `RUN` the runs did not suffice."""
+
+    step: Tuning
+    bags: tuple[Path, ...]
+
+
+def tune_gait(gait: Gait, record: Record, measure: Measure, say: Callable[[str], None]) -> Tuned:
+    """Run a gait and its successors, at most `MOST_RUNS` in total, until one is done or none is possible.
+
+    Args:
+        gait: the first gait.
+        record: runs and records a gait.
+        measure: the step after the bags so far.
+        say: called with each line of progress.
+    """
+    bags: list[Path] = []
+    for number in range(1, MOST_RUNS + 1):
+        say(
+            f"run {number} of at most {MOST_RUNS}: {1e3 * gait.stroke:.1f} mm, {gait.frequency:.4g} Hz"
+        )
+        bags.append(record(gait, number))
+        step = measure(bags)
+        if step.state is not TuneState.RUN:
+            break
+        gait = step.gait
+    return Tuned(step, tuple(bags))
+
+
+def tune_gaits(
+    robot: Robot,
+    gaits: Mapping[str, tuple[Gait, Measure]],
+    folder: Path,
+    logs: Path,
+    say: Say,
+    prepare: Prepare,
+) -> dict[str, Tuned]:
+    """Tune gaits one after the other, with run N recorded as ``folder/tuning/NAME_N``; see `tune_gait`.
+
+    Complete recordings of an interrupted campaign are measured again instead of run again. The robot's nodes are
+    started when the first run is missing.
+
+    Args:
+        robot: the robot.
+        gaits: by name, the first gait and the measurement of its bags.
+        folder: folder of the campaign.
+        logs: folder of the log files.
+        say: called with each line of progress.
+        prepare: called before each run; raises an exception to end the campaign.
+    """
+    runs = folder / TUNING
+    runs.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as nodes:
+        recorder = cache(lambda: nodes.enter_context(gait_recorder(robot, logs, say, prepare)))
+
+        def tuned(name: str, first: Gait, measure: Measure) -> Tuned:
+            def record(gait: Gait, number: int) -> Path:
+                bag = runs / f"{name}_{number}"
+                if not is_recorded(bag):
+                    recorder()(bag, GaitCommand(gait, CYCLES))
+                return bag
+
+            return tune_gait(first, record, measure, say)
+
+        return {name: tuned(name, *each) for name, each in gaits.items()}

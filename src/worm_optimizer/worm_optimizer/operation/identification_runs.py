@@ -4,10 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import (
-    dataclass,
-    replace,
-)
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,8 +14,11 @@ from worm_model.identification.fits.locomotion import RIDGES
 from worm_model.identification.inputs import read_inputs
 from worm_model.identification.reference_values import reference_by_file
 from worm_model.identification.report.advice import advise
-from worm_model.identification.report.identification_report import write_report
-from worm_model.identification.report.results import parameter_file, summary
+from worm_model.identification.report.identification_report import (
+    parameter_file,
+    summary,
+    write_report,
+)
 from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
 from worm_optimizer.operation.bring_up import Say, Session
@@ -47,14 +47,6 @@ BENCH, BENCH_S = "bench_tests", 60.0  # folder of the bench tests, and their tim
 # Names of the results in the folder of a campaign: folder of the bags, parameter file, folder of the report, summary
 RUNS, PARAMETERS = "identification", "parameters.yaml"
 REPORT, SUMMARY = "identification_report", "identification.json"
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Files of the bench tests; None if missing."""
-
-    bellows: Path | None
-    fin: Path | None
 
 
 def identification_orders(direction: int, pitch: float) -> dict[str, GaitCommand]:
@@ -97,8 +89,8 @@ def put_back(running: Session, text: str) -> None:
     running.say(f"the robot is back at its start; {text}")
 
 
-def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
-    """Return the files of the bench tests of a virtual robot. Simulate the tests if their folder is missing.
+def virtual_bench(robot: Robot, folder: Path, logs: Path) -> tuple[Path, Path]:
+    """Return the files of a virtual robot's bellows and fin test. Simulate the tests if their folder is missing.
 
     Raises `ProcessError` if the simulation fails.
     """
@@ -118,12 +110,12 @@ def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
                 if process.wait(BENCH_S) != 0:
                     raise ProcessError(f"bench_tests: {process.last_line()}")
             made.rename(bench)
-    return Bench(bench / "bellows.csv", bench / "fin.csv")
+    return bench / "bellows.csv", bench / "fin.csv"
 
 
 def identify_robot(
     bags: list[Path],
-    bench: Bench,
+    bench: tuple[Path | None, Path | None],
     known: tuple[ParameterFile, str],
     folder: Path,
     progress: Callable[[str, float], None],
@@ -132,15 +124,12 @@ def identify_robot(
 
     Args:
         bags: the recorded runs.
-        bench: files of the bench tests.
+        bench: files of the bellows and the fin test; None if missing.
         known: parameters from which masses, pitch and unstressed length are used, and their source as text.
         folder: folder of the results.
         progress: called with the name of a stage and its finished share.
-
-    Raises:
-        IdentificationError: The data do not suffice.
     """
-    inputs = read_inputs(bags, bench.bellows, bench.fin)
+    inputs = read_inputs(bags, *bench)
     result = identify(inputs, reference_by_file(*known), progress=progress)
     advice = advise(result)
     write_report(result, advice, folder / REPORT, lambda done: progress("report", done))

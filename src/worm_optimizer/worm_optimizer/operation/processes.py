@@ -225,9 +225,6 @@ class ProcessGroup:
             name: name of the process and of its log, unique in the group.
             command: command line.
             grace_s: time from an interrupt to a kill, s.
-
-        Raises:
-            ProcessError: The group already has a process with this name.
         """
         if name in self.processes:
             raise ProcessError(f"a process with the name {name} exists already")

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 from ament_index_python.packages import get_package_share_directory
 
+from worm_model.errors import InputError
 from worm_msgs.claim import domain_of
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.settings_file import OneOf, key, read_settings
@@ -28,10 +29,6 @@ Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[s
 MODES = ("robot", "virtual", "replay")
 RESTARTS = 3  # largest number of restarts of an optional node
 _REJECTED = 2  # exit status of a node that has rejected its input before it opened anything
-
-
-class SystemFileError(ValueError):
-    """A system file is malformed, or a mode, setting or node is unknown."""
 
 
 @dataclass(frozen=True)
@@ -140,12 +137,12 @@ class SystemFile:
     nodes: Mapping[str, NodeRow]
 
     def __post_init__(self) -> None:
-        """Raise `SystemFileError` if a node refers to a setting that the file does not contain."""
+        """Raise `InputError` if a node refers to a setting that the file does not contain."""
         known = ("namespace", "domain", *self.settings)
         for name, row in self.nodes.items():
             for used in (*re.findall(r"\{(\w+)\}", repr(row)), row.needs):
                 if used not in (None, *known):
-                    raise SystemFileError(f"nodes: {name}: {unknown_name('setting', used, known)}")
+                    raise InputError(f"nodes: {name}: {unknown_name('setting', used, known)}")
 
     def system(self, mode: str, namespace: str = "", **settings: str) -> System:
         """Return the system of a mode.
@@ -156,14 +153,14 @@ class SystemFile:
             settings: settings that differ from their defaults.
 
         Raises:
-            SystemFileError: The mode or a setting is unknown, or a number is malformed.
+            InputError: The mode or a setting is unknown, or a number is malformed.
         """
         namespace = namespace or self.namespace
         if mode not in MODES:
-            raise SystemFileError(f"mode {mode!r}: choose one of {', '.join(MODES)}")
+            raise InputError(f"mode {mode!r}: choose one of {', '.join(MODES)}")
         unknown = sorted(set(settings) - set(self.settings))
         if unknown:
-            raise SystemFileError(unknown_name("setting", unknown[0], self.settings))
+            raise InputError(unknown_name("setting", unknown[0], self.settings))
         names = {"namespace": namespace, "domain": str(domain_of(os.environ))}
         defaults = {name: row.default.format_map(names) for name, row in self.settings.items()}
         values: dict[str, str | float] = {**names, **defaults, **settings}
@@ -194,8 +191,8 @@ class SystemFile:
 
 
 def load_system_file(path: str | Path) -> SystemFile:
-    """Read a system file. Raises `SystemFileError`, whose message contains the path and the key."""
-    return read_settings(Path(path), SystemFile, SystemFileError)
+    """Read a system file. Raises `InputError`, whose message contains the path and the key."""
+    return read_settings(Path(path), SystemFile, InputError)
 
 
 def installed_system_file() -> SystemFile:
@@ -210,7 +207,7 @@ def _number(name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise SystemFileError(f"setting {name}: {text!r} is not a finite number")
+        raise InputError(f"setting {name}: {text!r} is not a finite number")
     return value
 
 
@@ -225,7 +222,7 @@ def conditions_of(settings: Mapping[str, str]) -> Conditions:
     The condition of a missing or empty setting has its default, that of level ground.
 
     Raises:
-        SystemFileError: A setting is not a finite number.
+        InputError: A setting is not a finite number.
         ConditionsError: The conditions are not admissible.
     """
     stated = {name: _number(name, settings[name]) for name in CONDITION_ROWS if settings.get(name)}

@@ -7,5 +7,4 @@
 - `agreement` compares measured and expected values.
 - `optimisation` and `identification_parts` prepare the content of the other sections.
 - `run_figures` and `front_plots` draw the figures, and `report_page` fills the template.
-- `analysis_figures` draws the figures of the commands `capability` and `sensitivity`.
 """

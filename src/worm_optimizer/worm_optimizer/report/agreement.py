@@ -61,28 +61,6 @@ _TITLES = {"min_power": "minimum power", "cruise": "cruising", "max_speed": "max
 
 
 @dataclass(frozen=True)
-class Order:
-    """Order of the gaits by one quantity.
-
-    Attributes:
-        quantity: key of `QUANTITIES`.
-        expected: names of the gaits by rising expected value; None if a value is NaN or if two values are equal.
-        measured: the same by measured value.
-    """
-
-    quantity: str
-    expected: tuple[str, ...] | None
-    measured: tuple[str, ...] | None
-
-    @property
-    def preserved(self) -> bool | None:
-        """True if both orders are the same; None if one of them is unknown."""
-        if self.expected is None or self.measured is None:
-            return None
-        return self.measured == self.expected
-
-
-@dataclass(frozen=True)
 class Grooves:
     """Grooves per cycle of a recorded gait.
 
@@ -195,13 +173,6 @@ def percent(difference: float) -> str:
     return f"{round(100.0 * difference, 1) + 0.0:+.1f} %" if math.isfinite(difference) else ""
 
 
-def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
-    """Return the orders of the gaits by speed, power and cost of transport; empty for fewer than two gaits."""
-    if len(gaits) < 2:
-        return ()
-    return tuple(_order(gaits, quantity) for quantity in QUANTITIES)
-
-
 def agreements(gait: RecordedGait) -> tuple[Agreement, ...]:
     """Return the comparison of measured with expected values, one entry for each of `QUANTITIES`."""
     grooves = {"speed": grooves_of(gait)}
@@ -228,37 +199,35 @@ def grooves_of(gait: RecordedGait) -> Grooves | None:
     return Grooves(expected.grooves, measured, expected.cycles)
 
 
-def _order(gaits: Sequence[RecordedGait], quantity: str) -> Order:
-    expected = {gait.name: getattr(gait.expected.bands, quantity).value for gait in gaits}
-    measured = {
-        gait.name: getattr(gait.measured, quantity).value if gait.is_steady else math.nan
-        for gait in gaits
-    }
-    return Order(quantity, _rising(expected), _rising(measured))
+def orders(gaits: Sequence[RecordedGait]) -> dict[str, tuple[bool | None, str]]:
+    """Return whether the measured order of the gaits is the expected one, by quantity, and this as text.
+
+    None means that a value is missing or that two values are equal. With fewer than two gaits, the result is empty.
+    """
+    return {name: _order(gaits, name) for name in QUANTITIES} if len(gaits) > 1 else {}
 
 
-def _rising(values: Mapping[str, float]) -> tuple[str, ...] | None:
-    """Return the names by rising value; None if a value is NaN or if two values are equal."""
+def _order(gaits: Sequence[RecordedGait], quantity: str) -> tuple[bool | None, str]:
+    expected = _rising({g.name: getattr(g.expected.bands, quantity).value for g in gaits})
+    steady = {g.name: getattr(g.measured, quantity).value for g in gaits if g.is_steady}
+    measured = _rising(steady) if len(steady) == len(gaits) else ""
+    name = f"order by {QUANTITIES[quantity].name}"
+    if not expected:
+        return None, f"{name}: unknown, an expected value is missing or two are equal"
+    if not measured:
+        text = "unknown, a measured value is missing or two are equal"
+        return None, f"{name}: {text} (expected {expected})"
+    if measured == expected:
+        return True, f"{name}: preserved, {expected}"
+    return False, f"{name}: not preserved; expected {expected}, measured {measured}"
+
+
+def _rising(values: Mapping[str, float]) -> str:
+    """Return the titles of the gaits by rising value; empty if a value is NaN or if two values are equal."""
     different = set(values.values())
     if len(different) < len(values) or any(map(math.isnan, different)):
-        return None
-    return tuple(sorted(values, key=values.__getitem__))
-
-
-def order_text(order: Order) -> str:
-    """Return an order as text."""
-    name = f"order by {QUANTITIES[order.quantity].name}"
-    if order.expected is None:
-        return f"{name}: unknown, an expected value is missing or two are equal"
-    expected = " < ".join(map(title_of, order.expected))
-    if order.measured is None:
-        return (
-            f"{name}: unknown, a measured value is missing or two are equal (expected {expected})"
-        )
-    if order.preserved:
-        return f"{name}: preserved, {expected}"
-    measured = " < ".join(map(title_of, order.measured))
-    return f"{name}: not preserved; expected {expected}, measured {measured}"
+        return ""
+    return " < ".join(map(title_of, sorted(values, key=values.__getitem__)))
 
 
 def headline(gaits: Sequence[RecordedGait]) -> str:
@@ -296,7 +265,7 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
     lines += ["", f"expected without the margin, at a groove phase of {', '.join(phases)}"]
     lines += {f"intervals at 95 %: {gait.expected.condition}": None for gait in gaits}
     lines += [f"{gait.name}: {margin_text(gait)}" for gait in gaits]
-    lines += map(order_text, orders(gaits))
+    lines += [text for _, text in orders(gaits).values()]
     lines += [f"{gait.name}: {reason}" for gait in gaits for reason in gait.missing]
     return "\n".join(lines)
 
@@ -353,7 +322,7 @@ def agreement_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
             }
             for gait in gaits
         ],
-        "order_preserved": {order.quantity: order.preserved for order in orders(gaits)},
+        "order_preserved": {name: preserved for name, (preserved, _) in orders(gaits).items()},
     }
 
 

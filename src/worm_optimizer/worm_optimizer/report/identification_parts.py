@@ -15,10 +15,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import BLUE, GREY, new_figure, symbol
-from worm_model.errors import InputError
+from worm_model.errors import IdentificationError, InputError
 from worm_model.identification import bellows, fin
 from worm_model.identification.bellows import Array, BellowsFit, fit_bellows
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.inputs import read_bench_test
 from worm_model.identification.report.identification_report import (
@@ -104,9 +103,6 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
     """Return the text (HTML) of a report of ``identify``, and its figures (PNG) by title; empty without a folder.
 
     The figures are in the order of `FIGURE_TITLES`, followed by figures that it does not contain.
-
-    Raises:
-        InputError: The folder contains no such report.
     """
     if not folders:
         return "", {}

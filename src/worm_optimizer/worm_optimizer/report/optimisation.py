@@ -56,9 +56,6 @@ def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
     """Return front and price of robustness for gaits for which `why_no_front` returns an empty text.
 
     The front has the margin of the gaits. If their margins differ, it has the last margin of the scan before the cliff.
-
-    Raises:
-        OptimizerError: No gait moves.
     """
     content, direction = gaits[0].content, gaits[0].gait.direction
     price = scanned_price(content, Settings(), direction)

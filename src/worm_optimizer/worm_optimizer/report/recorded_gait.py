@@ -104,9 +104,6 @@ def recorded_gait(
         parameters: content of the parameter file and its origin.
         events: events of the part.
         provenance: origin of the recording.
-
-    Raises:
-        RecordingError: The part contains no gait.
     """
     content, source = parameters
     try:

@@ -46,9 +46,6 @@ def newest_recording(folder: Path, notify: Callable[[str], None]) -> Path:
     Args:
         folder: folder that is searched. It contains bags, or folders of bags such as that of a campaign.
         notify: function that is called with the reason for each bag that is skipped.
-
-    Raises:
-        InputError: The folder contains no such recording.
     """
     bags = [*folder.glob(f"*/{METADATA_FILE}"), *folder.glob(f"*/*/{METADATA_FILE}")]
     for metadata in sorted(bags, key=_closed, reverse=True):

@@ -113,9 +113,7 @@ def build_report(report: Report, folder: Path) -> Path:
         "quantities": agreement.QUANTITIES,
         "agreements": [row for gait in report.gaits for row in agreement.agreements(gait)],
         "cap": agreement.LEAST_DISAGREEMENT,
-        "orders": [
-            (order, agreement.order_text(order)) for order in agreement.orders(report.gaits)
-        ],
+        "orders": list(agreement.orders(report.gaits).values()),
         "failures": list(_failures(report.gaits)),
         "overlay": _overlay(report.gaits, pictures),
         "front": _front_pictures(report, pictures),
@@ -171,9 +169,7 @@ def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
             name = agreement.QUANTITIES[row.quantity].name
             difference = agreement.percent(row.difference)
             yield f"{agreement.title_of(row.gait)}: {name} differs from the expected value by {difference}"
-    for order in agreement.orders(gaits):
-        if order.preserved is False:
-            yield agreement.order_text(order)
+    yield from (text for same, text in agreement.orders(gaits).values() if same is False)
     for gait in gaits:
         yield from (f"{agreement.title_of(gait.name)}: {reason}" for reason in gait.missing)
         for event in gait.events:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of recorded gaits: motion, length, energy and cycles of each gait, and an overlay of all gaits."""
+"""Figures of recorded gaits: motion, length and energy of each gait, and an overlay of all gaits."""
 
 from __future__ import annotations
 
@@ -61,36 +61,6 @@ def draw_energy(gait: RecordedGait) -> Figure:
     )
 
 
-def draw_cycles(gait: RecordedGait) -> Figure:
-    """Draw grooves gained and residuals of the twin for each cycle."""
-    cycles = gait.judged.cycles
-    figure = plot_style.new_figure(run_plots.WIDTH, 2.9)
-    panels = figure.subplots(1, 4)
-    number = np.arange(1, len(cycles) + 1)
-    measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
-    panels[0].bar(number - 0.2, measured, 0.4, color=plot_style.BLUE, label="measured")
-    panels[0].bar(number + 0.2, twin, 0.4, color=plot_style.VERMILION, hatch="//", label="twin")
-    bars, names = panels[0].get_legend_handles_labels()
-    figure.legend(bars, names, loc="outside upper left", ncols=2, fontsize="small", frameon=False)
-    plot_style.finish(panels[0], "grooves gained (1)")
-    panels[0].get_legend().remove()  # wider than the panel; the figure has a legend instead
-    for axes, name, scale, label in (
-        (panels[1], "x1_rmse", plot_style.MM, "x1 (mm rms)"),
-        (panels[2], "length_rmse", plot_style.MM, "length (mm rms)"),
-        (panels[3], "power_rmse", 1.0, "power (W rms)"),
-    ):
-        axes.bar(
-            number, [scale * getattr(c.residuals, name) for c in cycles], color=plot_style.BLUE
-        )
-        plot_style.finish(axes, label)
-    for axes in panels:
-        axes.set_xlabel("cycle")
-        axes.set_xticks(number)
-        axes.grid(visible=False, axis="x")
-    plot_style.letter(panels)
-    return figure
-
-
 RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
     "motion": (
         draw_motion,
@@ -107,7 +77,6 @@ RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
         "Source power, accumulated energy, and measured energy minus that of the twin, until five ridges are passed. "
         "The twin is driven by the measured length, the model by the command alone.",
     ),
-    "cycles": (draw_cycles, "Grooves gained and residuals of the twin, cycle by cycle."),
 }
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from worm_model.errors import InputError
 from worm_model.gait import AVERAGED
 from worm_model.margin.predicted_margin import largest_margins
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
@@ -32,7 +33,6 @@ from worm_optimizer.evaluation.task import (
     Mask,
     Points,
 )
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.prediction import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
 
@@ -47,7 +47,7 @@ class PromiseTask:
 
     A gait's promise is the largest number of grooves per cycle that it keeps in a share of at least ``probability`` of
     the ``scenarios``. The speed of the gait is promise · d · f, and its power is that of the nominal robot. The margin
-    of ``task``, usually 0, applies in all scenarios. Raises `OptimizerError` unless 0 < probability ≤ 1.
+    of ``task``, usually 0, applies in all scenarios. Raises `InputError` unless 0 < probability ≤ 1.
     """
 
     task: MarginTask
@@ -56,9 +56,7 @@ class PromiseTask:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.probability <= 1.0:
-            raise OptimizerError(
-                f"probability: must be above 0 and at most 1, not {self.probability}"
-            )
+            raise InputError(f"probability: must be above 0 and at most 1, not {self.probability}")
 
     @property
     def bounds(self) -> Bounds:

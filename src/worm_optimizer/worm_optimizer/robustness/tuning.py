@@ -32,20 +32,25 @@ from worm_optimizer.evaluation.command_shape import shapes_of_gaits
 from worm_optimizer.evaluation.task import MarginTask
 
 _STEP_M = 0.0005  # of the stroke
-_SAME_M = 0.001  # difference of a stroke from the smallest one below which the run is not repeated
-_RESERVE_M = 0.0003  # of the stroke, so that the next run confirms its probability
+# of the stroke: up to this difference from a run, a gait needs no run of its own, as the change of its margin is known
+# to 0.2 mm
+_SAME_M = 0.0015
+_RESERVE_M = (
+    0.0003  # of the stroke, more than the probability needs, so that a next run confirms it
+)
 _REAR_SHARE = 0.1  # of the lost cycles, for the rear fin where the front fin lacks margin
 _SLOWER = 0.98  # step of the frequency
 _SLOWEST_STEP = 0.6  # of the frequency from one run to the next
 _UNCERTAIN_M = 0.003  # negative rear margin that can be one of the front fin
 _WORTHWHILE_M = 0.0005  # increase of the front margin for which a lower frequency is tried
+_ALIKE = 0.05  # difference of probabilities below which they are alike
 _HOPELESS = 0.05  # probability below which the gaits of the runs lose about every groove
 # standard deviation of the prior of the margin of the first gait: it is measured
 _MEASURED_OFFSET_M = 0.05
 # m per unit of ln f, change of the margin with the frequency and its standard deviation. The front margin changes only
 # above the corner, from which the bellows has too little time to extend the body. Values of robots whose cable cannot
 # push, between 0.1 and 0.4 Hz.
-_REAR_BY_FREQUENCY = (-0.001, 0.001)
+_REAR_BY_FREQUENCY = (-0.001, 0.002)
 _FRONT_BY_FREQUENCY = (-0.010, 0.004)
 _CORNER = 0.18  # corner frequency times c_b/k_b
 # relative standard deviation of the change of the rear margin with the stroke
@@ -57,9 +62,10 @@ _FRONT_BY_PRETENSION = 0.3
 
 
 class TuneState(enum.Enum):
-    """Outcome: run the gait and measure, the last run's gait has the probability, or no gait has it.
+    """Outcome: run the gait and measure, the gait has the probability, or no gait has it.
 
-    If no gait has it, the gait is the best of the runs.
+    A gait that has it is that of the last run, with a stroke that is up to `_SAME_M` shorter where this suffices. If no
+    gait has it, the gait is the best of the runs.
     """
 
     RUN = "run"
@@ -114,9 +120,13 @@ class _Knowledge:
     def best(self) -> Gait:
         """Gait of the runs that keeps its grooves with the highest probability, of alike ones the last.
 
-        The last one was chosen after more measurements, and its rear fin has more margin.
+        The last one was chosen after more measurements.
         """
-        return max(reversed(self.gaits), key=lambda gait: round(self.keeps(gait).value, 1))
+        kept = [self.keeps(gait).value for gait in self.gaits]
+        alike = [
+            gait for gait, each in zip(self.gaits, kept, strict=True) if each > max(kept) - _ALIKE
+        ]
+        return alike[-1]
 
     def beliefs(self, gait: Gait) -> dict[Fin, MarginBelief]:
         return {
@@ -157,7 +167,8 @@ def _next(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning:
         return _run(known, replace(smallest, stroke=reserve), _margins(known, last))
     if last.stroke - smallest.stroke > _SAME_M:
         return _run(known, smallest, "a shorter stroke keeps the grooves, too")
-    return Tuning(TuneState.DONE, last, keeps, _margins(known, last))
+    shorter = replace(last, stroke=min(smallest.stroke + _RESERVE_M, last.stroke))
+    return _outcome(TuneState.DONE, known, shorter, _margins(known, last))
 
 
 def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning:
@@ -177,17 +188,17 @@ def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning
     almost = 1.0 - _REAR_SHARE * (1.0 - probability)
     fitting = _smallest_stroke(known, last, limits, almost, Fin.REAR)
     # Also where the rear fin seems to lack a little: of a lost groove, the fin that lost it is not certain.
-    longest = replace(last, stroke=limits.largest_stroke(last))
-    lacks = known.beliefs(longest)[Fin.REAR].expected < -_UNCERTAIN_M
+    farthest = replace(last, stroke=limits.largest_stroke(last))
+    lacks = known.beliefs(farthest)[Fin.REAR].expected < -_UNCERTAIN_M
     if _gain_of_front(known, gait) > _WORTHWHILE_M and not lacks:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
-    if fitting is not None and fitting.stroke - last.stroke > _SAME_M:
+    if fitting is not None and abs(fitting.stroke - last.stroke) > _SAME_M:
         return _run(known, fitting, _margins(known, last))
     reason = f"{reason} within the limits, nor a slower gait"
     if max(known.keeps(each).value for each in known.gaits) < _HOPELESS:
         reason += "; start from another gait, such as that of --objective min_power"
-    return Tuning(TuneState.IMPOSSIBLE, known.best, known.keeps(known.best), reason)
+    return _outcome(TuneState.IMPOSSIBLE, known, known.best, reason)
 
 
 def _less_pretension(known: _Knowledge, limits: GaitLimits, probability: float) -> Gait | None:
@@ -220,8 +231,12 @@ def _smallest_stroke(
 
 
 def _run(known: _Knowledge, gait: Gait, reason: str) -> Tuning:
+    return _outcome(TuneState.RUN, known, gait, reason)
+
+
+def _outcome(state: TuneState, known: _Knowledge, gait: Gait, reason: str) -> Tuning:
     gait = replace(gait, stroke=round(gait.stroke, 5), frequency=round(gait.frequency, 4))
-    return Tuning(TuneState.RUN, gait, known.keeps(gait), reason)
+    return Tuning(state, gait, known.keeps(gait), reason)
 
 
 def _margins(known: _Knowledge, gait: Gait) -> str:
@@ -243,10 +258,11 @@ def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
     }
     models = {}
     for fin, (expected, spread) in priors.items():
-        margins = [run.margins(fin) for run in runs]
+        telling = _telling(runs, fin)
+        margins = [run.margins(fin) for run in telling]
         terms = [
             np.tile(_terms(fin, run.gait, about, corner), (margin.size, 1))
-            for run, (margin, _, _) in zip(runs, margins, strict=True)
+            for run, (margin, _, _) in zip(telling, margins, strict=True)
         ]
         slope, slope_sd = _REAR_BY_FREQUENCY if fin is Fin.REAR else _FRONT_BY_FREQUENCY
         margin, sds, place = (np.concatenate(columns) for columns in zip(*margins, strict=True))
@@ -259,6 +275,21 @@ def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
             np.array([_MEASURED_OFFSET_M, slope_sd, *spread]),
         )
     return _Knowledge(models, tuple(run.gait for run in runs), corner)
+
+
+def _telling(runs: Sequence[RunMargin], fin: Fin) -> list[RunMargin]:
+    """Return the last run, and the earlier ones that tell the margin of a fin.
+
+    A run that never gains its grooves does not show which fin loses one. Where the front fin loses some, the rear fin
+    begins its next stroke elsewhere.
+    """
+
+    def tells(run: RunMargin) -> bool:
+        front = run.beliefs.get(Fin.FRONT)
+        keeps = fin is Fin.FRONT or (front is not None and front.expected > 0.0)
+        return run.shows_losing_fin and keeps
+
+    return [*filter(tells, runs[:-1]), runs[-1]]
 
 
 def _terms(fin: Fin, gait: Gait, about: Gait, corner: float) -> list[float]:

@@ -20,6 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
+from worm_model.errors import InputError
 from worm_msgs.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE, Profile
 from worm_optimizer.evaluation.command_shape import Shapes, shapes_of
 from worm_optimizer.evaluation.task import (
@@ -32,7 +33,6 @@ from worm_optimizer.evaluation.task import (
     Points,
     gained_of,
 )
-from worm_optimizer.optimizer_errors import OptimizerError
 
 # Accuracies in m to which successive rounds locate the borders. The position of each border depends on the position of
 # the other, so each round locates both. If longer ramps replace the pretension, the borders meet at a small angle. The
@@ -57,7 +57,7 @@ _REACHES_OF_RAMPS = 48
 class ShapeBounds:
     """Bounds (low, high) of the pretension in m, the contraction share and the ramp share.
 
-    Raises `OptimizerError` unless low ≤ high and both are admissible for a gait.
+    Raises `InputError` unless low ≤ high and both are admissible for a gait.
     """
 
     pretension: tuple[float, float] = (0.0, MAX_PRETENSION)
@@ -72,7 +72,7 @@ class ShapeBounds:
         ):
             low, high = getattr(self, name)
             if not least <= low <= high <= most:
-                raise OptimizerError(
+                raise InputError(
                     f"bounds: {name} from {low:g} to {high:g}: give values from {least:g} to {most:g}, the lower first"
                 )
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_model.errors import InputError
 from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,
     EDGE_TOLERANCE,
@@ -26,7 +27,6 @@ from worm_optimizer.evaluation.task import (
     Points,
     Task,
 )
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of
 
 # Returns the cost to be minimised for each gait, shape (n,). The cost of a gait that does not satisfy the request, such
@@ -55,7 +55,7 @@ class Resolution:
 
     def __post_init__(self) -> None:
         if self.strokes < 3 or self.frequencies < 2:
-            raise OptimizerError(
+            raise InputError(
                 f"resolution: {self.strokes} strokes, {self.frequencies} frequencies: give at least 3 and 2"
             )
 

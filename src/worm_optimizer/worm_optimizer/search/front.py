@@ -11,6 +11,7 @@ from typing import assert_never
 
 import numpy as np
 
+from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.loads import content_under
 from worm_model.parameters import ParameterFile, Parameters
@@ -19,7 +20,6 @@ from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit,
 from worm_optimizer.evaluation.command_shape import shapes_of_gaits
 from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.prediction import outline, predict
 from worm_optimizer.robustness.uncertainty import (
@@ -33,6 +33,7 @@ from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_o
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
 
+THREE = ("min_power", "cruise", "max_speed")  # names of the paper's three gaits
 _THIN_MARGIN = 1e-3  # m; robots differ from the model by more, see `worm_model.travel_error.PRIOR`
 _LOW_SUCCESS = 0.9
 # N. With the robots of `worm_model.travel_error.PRIOR`, gaits for 95 % were kept by 92 % where the model pushes with
@@ -56,7 +57,7 @@ class RobustFront:
         exact: exact front.
         gaits: predictions of the gaits of the front, by rising speed, without distances to edges and without
             probabilities (`outline`).
-        min_power, cruise, max_speed: complete predictions of the paper's three gaits.
+        three: complete predictions of the paper's three gaits, by name (`THREE`).
         nominal: task without a margin.
         content: parameters of the robot under the conditions of the settings.
         settings: settings of the optimisation.
@@ -66,9 +67,7 @@ class RobustFront:
     reason: str
     exact: ExactFront
     gaits: tuple[Prediction, ...]
-    min_power: Prediction
-    cruise: Prediction
-    max_speed: Prediction
+    three: dict[str, Prediction]
     nominal: MarginTask
     content: ParameterFile
     settings: Settings
@@ -77,11 +76,6 @@ class RobustFront:
     def direction(self) -> int:
         """Direction of all gaits."""
         return self.nominal.direction
-
-    @property
-    def three(self) -> dict[str, Prediction]:
-        """The paper's three gaits by name."""
-        return {"min_power": self.min_power, "cruise": self.cruise, "max_speed": self.max_speed}
 
     @property
     def described(self) -> str:
@@ -186,20 +180,18 @@ def price_of(task: MarginTask, settings: Settings) -> PriceOfRobustness:
 
 
 def make_front(content: ParameterFile, settings: Settings, direction: int) -> RobustFront:
-    """Compute the front for some settings. Raises `OptimizerError` if no gait moves within the limits."""
+    """Compute the front for some settings. Raises `InputError` if no gait moves within the limits."""
     content = content_under(settings.conditions, content)
     nominal = task_of(content, settings, direction)
     task, margin, reason = _robust_task(nominal, content, settings)
     exact = front_of_task(task, settings.resolution)
     if not len(exact.front):
-        raise OptimizerError(_why_nothing_moves(task, settings.resolution))
+        raise InputError(_why_nothing_moves(task, settings.resolution))
     margins = _margins(nominal, settings, margin, exact.front)
     if isinstance(task, PromiseTask):
         margin = float(margins.min())
         most = 1e3 * margins.max()
         reason += f"; equivalent margins are {1e3 * margin:.2f} to {most:.2f} mm"
-    rows = three_rows(exact.front, content.parameters)
-    three = _predicted(nominal, content, settings, exact.front.take(rows), margins[rows])
     return RobustFront(
         margin=margin,
         reason=reason,
@@ -207,7 +199,7 @@ def make_front(content: ParameterFile, settings: Settings, direction: int) -> Ro
         gaits=outline(
             nominal, exact.front.stroke, exact.front.frequency, margins, exact.front.shape
         ),
-        **dict(zip(("min_power", "cruise", "max_speed"), three, strict=True)),
+        three=_three(nominal, content, settings, exact.front, margins),
         nominal=nominal,
         content=content,
         settings=settings,
@@ -233,14 +225,10 @@ def replaced(front: RobustFront, gaits: Points) -> RobustFront:
     ``gaits`` contains at least one gait of the same task, by rising speed.
     """
     margins = _margins(front.nominal, front.settings, front.margin, gaits)
-    chosen = gaits.take(three_rows(gaits, front.content.parameters))
-    min_power, cruise, max_speed = front.predicted(chosen)
     return dataclasses.replace(
         front,
         gaits=outline(front.nominal, gaits.stroke, gaits.frequency, margins, gaits.shape),
-        min_power=min_power,
-        cruise=cruise,
-        max_speed=max_speed,
+        three=_three(front.nominal, front.content, front.settings, gaits, margins),
     )
 
 
@@ -260,6 +248,15 @@ def _predicted(
 ) -> tuple[Prediction, ...]:
     gaits = points.stroke, points.frequency, margins
     return predict(nominal, content, *gaits, settings.samples, settings.seed, points.shape)
+
+
+def _three(
+    nominal: MarginTask, content: ParameterFile, settings: Settings, front: Points, margins: Array
+) -> dict[str, Prediction]:
+    """Return the complete predictions of a front's three gaits by name; ``margins`` (n,) in m."""
+    rows = three_rows(front, content.parameters)
+    gaits = _predicted(nominal, content, settings, front.take(rows), margins[rows])
+    return dict(zip(THREE, gaits, strict=True))
 
 
 def three_rows(front: Points, parameters: Parameters) -> Index:
@@ -301,7 +298,7 @@ def _margin_task(
     price = price_of(nominal, settings)
     if not price.moves:
         least = waveform_task(nominal.with_margin(settings.scan.lowest), settings)
-        raise OptimizerError(_why_nothing_moves(least, settings.resolution))
+        raise InputError(_why_nothing_moves(least, settings.resolution))
     task = waveform_task(nominal.with_margin(price.margin), settings)
     return task, price.margin, reason_for(price)
 
@@ -378,9 +375,7 @@ def nominal_gaits(
     front = front_of_task(waveform_task(task, settings), settings.resolution).front
     if not len(front):
         return {}
-    chosen = front.take(three_rows(front, content.parameters))
-    predictions = _predicted(task, content, settings, chosen, np.zeros(len(chosen)))
-    return dict(zip(("min_power", "cruise", "max_speed"), predictions, strict=True))
+    return _three(task, content, settings, front, np.zeros(len(front)))
 
 
 def predicted_gaits(

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
+from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterFile
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.optimizer_errors import OptimizerError
 
 if TYPE_CHECKING:  # these imports would take half of the time in which `operate` starts
     from worm_optimizer.search.exact import Cost
@@ -52,7 +52,7 @@ class RequestStatus(enum.IntEnum):
 class GaitRequest:
     """Request for a gait; ``value`` is the speed in m/s or the power in W that the last two objectives need.
 
-    Raises `OptimizerError` for a value that no gait can have.
+    Raises `InputError` for a value that no gait can have.
     """
 
     objective: Objective
@@ -60,11 +60,9 @@ class GaitRequest:
 
     def __post_init__(self) -> None:
         if self.objective is Objective.MIN_POWER_AT_SPEED and not 0.0 <= self.value < math.inf:
-            raise OptimizerError(
-                f"speed: {self.value} m/s: give a finite number that is not negative"
-            )
+            raise InputError(f"speed: {self.value} m/s: give a finite number that is not negative")
         if self.objective is Objective.MAX_SPEED_AT_POWER and not 0.0 < self.value < math.inf:
-            raise OptimizerError(f"power: {self.value} W: give a finite positive number")
+            raise InputError(f"power: {self.value} W: give a finite positive number")
 
 
 @dataclass(frozen=True)
@@ -85,36 +83,37 @@ class GaitAnswer:
 def request_of(objective: int, speed: float, power: float) -> GaitRequest:
     """Return the request for an objective, with the speed in m/s or the power in W if the objective needs it.
 
-    Raises `OptimizerError` for an unknown objective or a value that no gait can have.
+    Raises `InputError` for an unknown objective or a value that no gait can have.
     """
     try:
         known_objective = Objective(objective)
     except ValueError:
         known = ", ".join(f"{each.value} {each.name}" for each in Objective)
-        raise OptimizerError(f"objective: {objective} is none of {known}") from None
+        raise InputError(f"objective: {objective} is none of {known}") from None
     values = {Objective.MIN_POWER_AT_SPEED: speed, Objective.MAX_SPEED_AT_POWER: power}
     return GaitRequest(known_objective, values.get(known_objective, math.nan))
 
 
-def check_direction(direction: int) -> None:
-    """Raise `OptimizerError` unless the direction is `FORWARD` or `REVERSE`."""
+def checked_direction(direction: int) -> int:
+    """Return a direction. Raises `InputError` if it is neither `FORWARD` nor `REVERSE`."""
     if direction not in (FORWARD, REVERSE):
-        raise OptimizerError(
+        raise InputError(
             f"direction: {direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
         )
+    return direction
 
 
 def resting_content(content: ParameterFile, initial_length: float) -> ParameterFile:
     """Return parameters whose initial length (m) is the given one, which was measured on a robot at rest.
 
     The result is ``content`` itself if the given length is 0, or differs by less than `SAME_LENGTH` from the length in
-    ``content``. Raises `OptimizerError` if the difference is at least half the length in ``content``.
+    ``content``. Raises `InputError` if the difference is at least half the length in ``content``.
     """
     known = content.parameters.initial_length
     if not initial_length or abs(initial_length - known) < SAME_LENGTH:
         return content
     if not abs(initial_length - known) < known / 2.0:
-        raise OptimizerError(
+        raise InputError(
             f"initial_length: {initial_length} m is far from the {known} m of the parameters: check value and unit"
         )
     return replace(content, parameters=content.parameters.replace(initial_length=initial_length))
@@ -125,10 +124,10 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
     match request.objective:
         case Objective.MIN_POWER_AT_SPEED:
             found = front.exact.cheapest(at_speed(request.value))
-            nearest = _too_fast(request.value, front.max_speed)
+            nearest = _too_fast(request.value, front.three["max_speed"])
         case Objective.MAX_SPEED_AT_POWER:
             found = front.exact.cheapest(at_power(request.value))
-            nearest = _too_little(request.value, front.min_power)
+            nearest = _too_little(request.value, front.three["min_power"])
         case Objective.MIN_POWER | Objective.CRUISE | Objective.MAX_SPEED:
             return GaitAnswer(
                 RequestStatus.DONE, prediction=front.three[request.objective.name.lower()]

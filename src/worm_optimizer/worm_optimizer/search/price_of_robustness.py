@@ -14,12 +14,12 @@ from typing import Protocol
 
 import numpy as np
 
+from worm_model.errors import InputError
 from worm_model.gait import AVERAGED
 from worm_model.parameters import Parameters
 from worm_model.simulation import closed_form
 from worm_model.simulation.simulator import cost_of_transport
 from worm_optimizer.evaluation.task import Array, Bounds, Edges, Index, Points
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import exact
 
 CLIFF_RISE = 1.25  # least factor by which the lowest cost of transport rises at a cliff
@@ -112,10 +112,10 @@ class PriceOfRobustness:
 
         If there is no cliff, it is the largest scanned margin at which a gait moves.
 
-        Raises `OptimizerError` if no gait moves at any margin.
+        Raises `InputError` if no gait moves at any margin.
         """
         if not self.moves:
-            raise OptimizerError(
+            raise InputError(
                 "no gait within the bounds moves at any margin of the scan: "
                 "lower the margins, relax the limits or allow longer strokes"
             )

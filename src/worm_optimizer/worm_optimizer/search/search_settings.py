@@ -7,10 +7,11 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
+from worm_model.errors import InputError
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.gait import (
     CONTRACTION_SHARE_RANGE,
@@ -21,10 +22,10 @@ from worm_msgs.gait import (
     RAMP_SHARE_RANGE,
 )
 from worm_msgs.parameter_rows import ParameterRow
+from worm_msgs.settings_file import key
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.servo_limits import servo_models, within
 from worm_optimizer.evaluation.task import Array, Bounds
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import Resolution
 
@@ -35,20 +36,20 @@ PARAMETER_FILE = "parameter_file"
 
 @dataclass(frozen=True)
 class ScanSettings:
-    """Margins of a margin scan: from ``lowest`` to ``highest`` in steps of ``step``, all in m."""
+    """Margins of a margin scan: from the lowest to the highest in equal steps."""
 
-    lowest: float = 0.0
-    highest: float = 8e-3
-    step: float = 1e-4
+    lowest: Annotated[float, key("lowest_m")] = 0.0
+    highest: Annotated[float, key("highest_m")] = 8e-3
+    step: Annotated[float, key("step_m")] = 1e-4
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.lowest < self.highest <= MAX_MARGIN and self.step > 0.0):
-            raise OptimizerError(
+            raise InputError(
                 f"scan: from {self.lowest} to {self.highest} m by {self.step} m: "
                 f"give 0 <= lowest < highest <= {MAX_MARGIN:g} m and a positive step"
             )
         if (self.highest - self.lowest) / self.step > _MOST_MARGINS:
-            raise OptimizerError(
+            raise InputError(
                 f"scan: a step of {self.step:g} m results in more than {_MOST_MARGINS} margins: give a larger step"
             )
 
@@ -69,12 +70,12 @@ class Nsga2Settings:
 
     def __post_init__(self) -> None:
         if not (4 <= self.population <= 100_000 and 1 <= self.generations <= 100_000):
-            raise OptimizerError(
+            raise InputError(
                 f"search: population {self.population} and generations {self.generations}: "
                 "give a population of at least 4 and at least 1 generation, both at most 100000"
             )
         if not 0 <= self.seed < 2**32:
-            raise OptimizerError(f"search: seed {self.seed}: give one from 0 to {2**32 - 1}")
+            raise InputError(f"search: seed {self.seed}: give one from 0 to {2**32 - 1}")
 
 
 class Robustness(enum.StrEnum):
@@ -92,22 +93,17 @@ class Waveform(enum.StrEnum):
     SHAPED = "shaped"  # any pretension, contraction share, profile and ramp share within bounds
 
 
-def waveform_of(name: str) -> Waveform:
-    """Return the waveform with a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
-    try:
-        return Waveform(name)
-    except ValueError:
-        known = ", ".join(each.value for each in Waveform)
-        raise OptimizerError(f"waveform: {name!r} is none of {known}") from None
+_Choice = TypeVar("_Choice", Robustness, Waveform)
 
 
-def robustness_of(name: str) -> Robustness:
-    """Return the criterion with a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
+def choice_of(kind: type[_Choice], name: str) -> _Choice:
+    """Return the member of an enumeration with a name. Raises `InputError`, with the known names, if there is none."""
     try:
-        return Robustness(name)
+        return kind(name)
     except ValueError:
-        known = ", ".join(each.value for each in Robustness)
-        raise OptimizerError(f"robustness: {name!r} is none of {known}") from None
+        raise InputError(
+            f"{kind.__name__.lower()}: {name!r} is none of {', '.join(kind)}"
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -160,26 +156,26 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.margin_force is not None and not 0.0 <= self.margin_force < math.inf:
-            raise OptimizerError(
+            raise InputError(
                 f"margin_force: {self.margin_force} N: give a finite number that is not negative"
             )
         if self.margin is not None and self.margin_force is not None:
-            raise OptimizerError("margin: is given both in m and as a load in N; give one of them")
+            raise InputError("margin: is given both in m and as a load in N; give one of them")
         if not 0.0 <= self.holding_power < math.inf:
-            raise OptimizerError(
+            raise InputError(
                 f"holding_power: {self.holding_power} W/N: give a finite number that is not negative"
             )
         if self.waveform is Waveform.SHAPED and self.robustness is not Robustness.MARGIN:
-            raise OptimizerError(
+            raise InputError(
                 f"robustness: {self.robustness.value} needs waveform sinusoid. Use this waveform, or robustness margin"
             )
         if self.margin is not None and not 0.0 <= self.margin <= MAX_MARGIN:
-            raise OptimizerError(
+            raise InputError(
                 f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m; "
                 "without it, the last margin of the scan before the cliff is used"
             )
         if not (1 <= self.samples <= 1_000_000 and 0 <= self.seed < 2**32):
-            raise OptimizerError(
+            raise InputError(
                 f"samples {self.samples} and seed {self.seed}: "
                 f"give 1 to 1000000 samples and a seed from 0 to {2**32 - 1}"
             )
@@ -294,7 +290,7 @@ def rows() -> list[ParameterRow]:
 def settings_of(values: Mapping[str, Any]) -> Settings:
     """Return the settings from values by `SettingRow.parameter`. A missing value is the default of its row.
 
-    Raises `OptimizerError` if the values are inadmissible or inconsistent.
+    Raises `InputError` if the values are inadmissible or inconsistent.
     """
     value = {row.parameter: row.default for row in SETTINGS} | dict(values)
     speed, force, power, push = (
@@ -313,13 +309,13 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
         bounds=bounds,
         limits=limits,
         scan=ScanSettings(value["scan_lowest_m"], value["scan_highest_m"], value["scan_step_m"]),
-        robustness=robustness_of(value["robustness"]),
+        robustness=choice_of(Robustness, value["robustness"]),
         probability=value["probability"],
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         seed=value["seed"],
         conditions=Conditions(**{name: value[name] for name in CONDITION_ROWS}),
-        waveform=waveform_of(value["waveform"]),
+        waveform=choice_of(Waveform, value["waveform"]),
         shapes=ShapeBounds(
             *(
                 (value[f"{name}_low{unit}"], value[f"{name}_high{unit}"])

@@ -7,7 +7,6 @@ half a pitch, are detected when the point is computed (`point.content_of`).
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import reprlib
 import sys
@@ -29,16 +28,9 @@ from worm_optimizer.study.plan import MOST_POINTS, QUANTITIES, SHAPE_BOUNDS, Sam
 
 CLIFF = "cliff"  # value of margin_m that selects the last margin before the cliff of the point's own scan
 _MOST_VALUES = 100_000  # largest number of values of an axis
-_RESOLUTION = plan.Resolution()
+_RESOLUTION, _SCAN = plan.Resolution(), ScanSettings()
 
 Quantity = Annotated[str, OneOf(tuple(QUANTITIES))]
-
-
-@dataclass(frozen=True)
-class _ScanFile:
-    lowest: Annotated[float, key("lowest_m")] = ScanSettings.lowest
-    highest: Annotated[float, key("highest_m")] = ScanSettings.highest
-    step: Annotated[float, key("step_m")] = ScanSettings.step
 
 
 @dataclass(frozen=True)
@@ -60,7 +52,7 @@ class StudyFile:
     hardware: _HardwareFile | None = None
     compute: Annotated[tuple[Annotated[str, OneOf(plan.COMPUTABLE)], ...], key(min_length=1)]
     resolution: plan.Resolution = _RESOLUTION
-    scan: _ScanFile = _ScanFile()
+    scan: ScanSettings = _SCAN
     waveform: Annotated[str, OneOf(tuple(kind.value for kind in Waveform))] = (
         Waveform.SINUSOID.value
     )
@@ -121,7 +113,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
         hardware=_hardware(file.hardware, folder),
         compute=tuple(name for name in plan.COMPUTABLE if name in file.compute),
         resolution=file.resolution,
-        scan=ScanSettings(**dataclasses.asdict(file.scan)),
+        scan=file.scan,
         waveform=Waveform(file.waveform),
     )
     _check(study)

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import xarray
 
+from worm_model.checksum import versions_of
 from worm_model.errors import InputError
 from worm_model.parameters import format_parameter_file
-from worm_optimizer.code_version import code_identity, versions
+from worm_optimizer.code_version import PACKAGES, code_identity
 from worm_optimizer.evaluation.servo_limits import servo_model
 from worm_optimizer.study.blocks import (
     ITEMS,
@@ -161,7 +162,7 @@ def _provenance(study: Study) -> dict[str, Any]:
         **({"servo_model": json.dumps(asdict(model))} if model else {}),
         _HASH: _hash(study),
         "code": code_identity(),
-        "versions": json.dumps(versions()),
+        "versions": json.dumps(versions_of(PACKAGES)),
     }
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
-from worm_model.commands import bag_columns, bag_table, bags
+from worm_model.commands import bag_columns, bag_runs, bags
 from worm_model.gait import Gait, named_values
 
 SAMPLES = Path(__file__).resolve().parents[4] / "bags"
@@ -68,7 +68,7 @@ def test_the_table_names_the_conditions_of_runs_that_have_some(run, tmp_path):
 def test_the_index_of_a_folder_does_not_depend_on_how_its_path_is_given(run, monkeypatch):
     monkeypatch.chdir(SAMPLES.parent)
     rows = json.loads(run("table", "bags", "--json")[1])["runs"]
-    monkeypatch.setattr(bag_table, "rows_of_bag", None)
+    monkeypatch.setattr(bag_runs, "rows_of_bag", None)
     status, absolute, error = run("table", SAMPLES, "--json")
     assert (status, error) == (0, "")
     paths = [Path(row.pop("bag")) for row in rows]

@@ -13,8 +13,8 @@ from virtual_campaign import Instruments, exact_run
 
 from worm_model.commands import identify
 from worm_model.commands.import_lab import import_lab
+from worm_model.errors import IdentificationError
 from worm_model.gait import Gait
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.lab_logs import LabSettings
 from worm_model.identification.inputs import read_inputs, read_recordings
 from worm_model.identification.reference_values import reference_by_folder

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples
 
+from worm_model.errors import IdentificationError
 from worm_model.identification.bellows import fit_bellows
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fin import fit_fin
 
 X = np.linspace(-0.012, 0.012, 97)

@@ -15,10 +15,10 @@ from worm_model.commands import identify
 from worm_model.gait import Gait
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.data.strides import check_pitch, uneven_pitch
-from worm_model.identification.fits.contraction_fit import fit_contractions
+from worm_model.identification.fit_verdict import fit_contractions
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import follows_command, usable
-from worm_model.identification.recorded_margin import compared_margin, recorded_margin
+from worm_model.identification.held_out import compared_margin, recorded_margin
 from worm_model.identification.run_selection import prepared
 from worm_model.margin.half_cycles import Fin
 from worm_model.parameters import PAPER, load_parameter_file
@@ -91,13 +91,13 @@ def test_a_servo_that_stops_on_such_a_robot_is_found(recordings):
 
 
 def test_the_extensions_show_a_cable_that_cannot_push_and_the_contractions_the_delay(recordings):
-    fit = fit_contractions(recordings)
-    assert fit.lacking[2] > 3e-3
-    assert np.all(np.diff(fit.lacking) > 0.0)  # with the frequency
-    late = -fit.clock_offset  # the servo's delay and lag, and the backlash in slow gaits
+    offset, lacking = fit_contractions(recordings)
+    assert lacking[2] > 3e-3
+    assert np.all(np.diff(lacking) > 0.0)  # with the frequency
+    late = -offset  # the servo's delay and lag, and the backlash in slow gaits
     assert np.all((ROBOT.delay_s < late) & (late < ROBOT.delay_s + ROBOT.lag_s + 0.02))
     rigid = [recording_of(exact_run(gait), "rigid") for gait in GAITS]
-    assert np.abs(fit_contractions(rigid).lacking).max() < 5e-4
+    assert np.abs(fit_contractions(rigid)[1]).max() < 5e-4
 
 
 def test_an_uneven_pitch_shows_in_the_strides_and_is_no_wrong_pitch(recordings):

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from worm_model.analysis.simulated_run import simulated_run
+from worm_model.errors import IdentificationError
 from worm_model.gait import Gait
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.inputs import BenchTest, Inputs
 from worm_model.identification.paper_procedure import literal

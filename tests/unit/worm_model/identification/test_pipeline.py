@@ -11,7 +11,7 @@ from virtual_campaign import SHORT, bench_tests, virtual_campaign
 
 from worm_model import parameters
 from worm_model.analysis.simulated_run import simulated_run
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.fit_verdict import Verdict, judge_fit
 from worm_model.identification.fits import locomotion
@@ -19,8 +19,12 @@ from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.reference_values import MEASURED, ReferenceValues, reference_by_file
 from worm_model.identification.report.advice import FREQUENCIES, STAGES, STROKES, advise
-from worm_model.identification.report.identification_report import text_of
-from worm_model.identification.report.results import correlations, parameter_file, summary
+from worm_model.identification.report.identification_report import (
+    correlations,
+    parameter_file,
+    summary,
+    text_of,
+)
 from worm_model.identification.run_selection import prepared_validation
 from worm_model.identification.stages import FIN, identify
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from virtual_campaign import SHORT, VirtualCampaign, virtual_campaign
 
+from worm_model.errors import IdentificationError
 from worm_model.gait import Gait, Profile
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import SAME_PLACE
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.paper_procedure import literal

@@ -16,7 +16,7 @@ from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, PositionSample, engagement, scene
 from worm_model.twin.signatures import HEALTHY_SPREAD
 from worm_model.twin.twin import Twin
-from worm_model.twin.twin_status import report
+from worm_model.twin.twin_status import position_deviation, report
 
 GAIT = Gait(0.08, 0.2)
 ONSET = 10**18
@@ -89,6 +89,12 @@ def test_a_twin_without_input_does_not_call_itself_well():
     state.record["start_known"], newest["health"] = 1, Health.HEALTHY
     assert "as expected" in report(state, newest, 0.5).message
     assert report(twin.start(), None).message == "no length yet"
+    assert math.isnan(position_deviation(state, None))
+    state.record["noise_square"][0], newest["rear_position_scale"] = 0.004**2, 0.003
+    newest["position_size"] = 2.0
+    assert position_deviation(state, newest) == pytest.approx(0.01)
+    newest["stamp_ns"] -= 6_000_000_000
+    assert math.isnan(position_deviation(state, newest))
     silent = report(state, newest, 3.2)
     assert silent.level is Severity.WARNING
     assert silent.message.startswith("no input for 3 s")

@@ -5,6 +5,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -71,23 +72,31 @@ def fields(name: str) -> set[str]:
     return {line.split()[1] for line in lines if re.match(r"[a-z]\w*(/\w+)? +\w+ ", line + " ")}
 
 
+TYPES = {
+    "/worm/tracker": "Tracker",
+    "/worm/power": "Power",
+    "/worm/twin/state": "TwinState",
+    "/worm/twin/residuals": "TwinResiduals",
+    "/worm/twin/events": "TwinEvent",
+}
+MARGINS = {"rear_margin", "front_margin", "last_rear_margin", "last_front_margin"}
+
+
+def shown_fields(paths: list[str], separator: str) -> set[str]:
+    """Return the fields of the paths, which exist in the messages of their topics."""
+    assert len(paths) > 10
+    split = [path.rpartition(separator) for path in paths]
+    for topic, _, field in split:
+        assert field in fields(TYPES.get(topic, "BodyLength")), (topic, field)
+    return {field for _, _, field in split}
+
+
 def test_the_foxglove_layout_shows_topics_and_fields_that_exist():
     layout = json.loads((ROOT / "src/worm_model/foxglove/worm.json").read_text())
-    types = {
-        "/worm/tracker": "Tracker",
-        "/worm/power": "Power",
-        "/worm/twin/state": "TwinState",
-        "/worm/twin/residuals": "TwinResiduals",
-    }
     paths = [
         path["value"] for panel in layout["configById"].values() for path in panel.get("paths", [])
     ]
-    assert len(paths) > 10
-    for path in paths:
-        topic, field = path.split(".")
-        assert field in fields(types.get(topic, "BodyLength")), path
-    shown = {path.split(".")[-1] for path in paths}
-    assert shown >= {"rear_margin", "front_margin", "last_rear_margin", "last_front_margin"}
+    assert shown_fields(paths, ".") >= MARGINS
     raw = {panel.get("topicPath") for panel in layout["configById"].values()}
     assert "/worm/twin/events" in raw
 
@@ -95,6 +104,17 @@ def test_the_foxglove_layout_shows_topics_and_fields_that_exist():
         return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
 
     assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
+
+
+def test_the_plotjuggler_layout_shows_topics_and_fields_that_exist():
+    layout = ElementTree.parse(ROOT / "src/worm_model/plotjuggler/worm.xml")
+    names = [curve.get("name") for curve in layout.iter("curve")]
+    assert shown_fields(names, "/") >= MARGINS | {"probability"}
+    subscribed = layout.find("Plugins/plugin/selected_topics").get("value").split(";")
+    assert set(subscribed) == {name.rpartition("/")[0] for name in names}
+    for splitter in layout.iter("DockSplitter"):
+        count = len(splitter.findall("DockArea") + splitter.findall("DockSplitter"))
+        assert int(splitter.get("count")) == len(splitter.get("sizes").split(";")) == count
 
 
 def test_the_rviz_configuration_shows_the_twins_markers():

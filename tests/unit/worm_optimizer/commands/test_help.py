@@ -27,7 +27,7 @@ SLOW = {
 }
 LIGHTEST = ("bags", "evaluate_gait", "simulate")  # these also begin without NumPy and rosbags
 COMMANDS = {
-    "worm_driver.commands": ("calibrate",),
+    "worm_driver.commands": ("calibrate", "check", "setup_servo"),
     "worm_model.commands": (
         *("bags", "evaluate_gait", "export", "health", "identify", "import_lab", "margin"),
         *("phase_map", "recover", "replay", "simulate"),

@@ -12,7 +12,7 @@ from worm_model.run import Activity
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import Check, Say
-from worm_optimizer.snapshot import DriverState, Snapshot
+from worm_optimizer.robot_commands import DriverState, Snapshot
 
 
 class Node:

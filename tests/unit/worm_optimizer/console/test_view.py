@@ -9,7 +9,7 @@ import pytest
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
 from worm_optimizer.console import view
-from worm_optimizer.snapshot import DriverState, Snapshot
+from worm_optimizer.robot_commands import DriverState, Snapshot
 
 NOW = 50.0
 IDLE = DriverState(Activity.IDLE, True, False, 0, 0, 0, 0.0, 0.0, 1, "")

@@ -10,6 +10,7 @@ import yaml
 
 from worm_driver.servos import registers
 from worm_driver.virtual_robot.servo import control_table
+from worm_model.errors import InputError
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
 from worm_msgs.driver_file import DriverFile
@@ -23,7 +24,6 @@ from worm_optimizer.evaluation.servo_limits import (
     within,
 )
 from worm_optimizer.evaluation.task import Bounds
-from worm_optimizer.optimizer_errors import OptimizerError
 
 ROOT = Path(__file__).resolve().parents[4]
 DRIVER_FILE = ROOT / "src" / "worm_driver" / "config" / "driver.yaml"
@@ -50,7 +50,7 @@ def test_the_defaults_are_those_of_the_driver(driver_file):
 
 
 def test_a_misspelt_name_is_rejected_and_names_of_ros_are_accepted(driver_file):
-    with pytest.raises(OptimizerError, match=r"did you mean limits\.max_stroke_m\?") as reported:
+    with pytest.raises(InputError, match=r"did you mean limits\.max_stroke_m\?") as reported:
         load_driver_file(driver_file(limits={"max_strok_m": 0.05}))
     assert "max_strok_m'" in str(reported.value)
     ros = {"use_sim_time": False, "qos_overrides": {"/tf.publisher.depth": 5}}
@@ -138,7 +138,7 @@ def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(dri
 def test_an_invalid_file_is_rejected_with_its_path(tmp_path, content, expected):
     path = tmp_path / "driver.yaml"
     path.write_text(content)
-    with pytest.raises(OptimizerError, match=expected) as reported:
+    with pytest.raises(InputError, match=expected) as reported:
         load_driver_file(path)
     assert str(reported.value).startswith(str(path))
 

@@ -7,12 +7,12 @@ import math
 import pytest
 from gaits_for_tests import QUICK, made_up, small_front
 
+from worm_model.errors import InputError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes import optimizer_messages
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
 from worm_optimizer.search.price_of_robustness import Cliff, MarginPoint, PriceOfRobustness
 from worm_optimizer.search.search_settings import Robustness
@@ -74,7 +74,7 @@ def test_a_goal_sets_its_settings():
     ],
 )
 def test_an_invalid_goal_is_rejected(goal, expected):
-    with pytest.raises(OptimizerError, match=expected):
+    with pytest.raises(InputError, match=expected):
         optimizer_messages.settings_of_goal(QUICK, OptimizeGaits.Goal(**goal))
 
 
@@ -83,7 +83,7 @@ def test_a_scans_margins_are_the_goals_or_the_defaults():
     assert dataclasses.astuple(plain.scan) == (1e-3, QUICK.scan.highest, QUICK.scan.step)
     given = optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(highest=2e-3, step=5e-4))
     assert given.scan.margins().tolist() == [0.0, 5e-4, 1e-3, 1.5e-3, 2e-3]
-    with pytest.raises(OptimizerError, match="scan:"):
+    with pytest.raises(InputError, match="scan:"):
         optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(lowest=math.nan))
 
 
@@ -94,9 +94,9 @@ def test_the_result_of_an_optimisation():
     assert message.margin == 0.0034
     assert [gait.speed for gait in message.front] == [gait.speed for gait in front.gaits]
     assert math.isnan(message.front[0].success_probability)
-    assert message.min_power.power == front.min_power.power
-    assert message.cruise.success_probability == front.cruise.success_probability
-    assert message.max_speed.power == front.max_speed.power
+    assert message.min_power.power == front.three["min_power"].power
+    assert message.cruise.success_probability == front.three["cruise"].success_probability
+    assert message.max_speed.power == front.three["max_speed"].power
 
 
 def test_the_result_of_a_scan():

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 from recorded_run import GAIT, simulated_run, write_bag
 
+from worm_model.errors import InputError
 from worm_model.parameters import ParameterFile
 from worm_msgs.conditions import Conditions
 from worm_optimizer.operation import identification_runs
 from worm_optimizer.operation.bring_up import left_out
 from worm_optimizer.operation.campaign_plan import (
-    is_promised,
     make_plan,
+    promise,
     with_comparisons,
-    write_promises,
 )
 from worm_optimizer.operation.campaign_runs import is_recorded, put_aside, run_gaits
 from worm_optimizer.operation.processes import ProcessError
@@ -117,10 +117,11 @@ def test_an_unfinished_recording_is_kept_under_another_name(tmp_path: Path):
 
 
 def test_a_folder_goes_on_only_with_the_gaits_it_was_begun_with(plan, tmp_path: Path):
-    write_promises(plan, tmp_path)
-    assert is_promised(plan, tmp_path)
+    promise(plan, tmp_path)
+    promise(plan, tmp_path)
     other = {name: gait for name, gait in plan.gaits.items() if name != "cruise"}
-    assert not is_promised(dataclasses.replace(plan, gaits=other), tmp_path)
+    with pytest.raises(InputError, match="has other predictions"):
+        promise(dataclasses.replace(plan, gaits=other), tmp_path)
 
 
 @pytest.mark.parametrize("status", [0, 1])
@@ -138,7 +139,7 @@ def test_bench_tests_that_are_interrupted_leave_no_folder(
     logs.mkdir()
     robot = Robot(FILE, "virtual", {})
     if status == 0:
-        assert identification_runs.virtual_bench(robot, folder, logs).fin.is_file()
+        assert identification_runs.virtual_bench(robot, folder, logs)[1].is_file()
     else:
         with pytest.raises(ProcessError):
             identification_runs.virtual_bench(robot, folder, logs)

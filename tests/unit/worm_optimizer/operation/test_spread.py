@@ -9,8 +9,8 @@ import pytest
 from worm_model.identification.fits.locomotion import RIDGES
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.operation.campaign_plan import draw_spread, run_names, spread, spread_table
 from worm_optimizer.operation.identification_runs import identification_orders
-from worm_optimizer.operation.spread import draw_spread, run_names, spread, spread_table
 from worm_optimizer.report.expectation import Band, Bands
 
 FREQUENCY = 0.2

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from worm_model.errors import InputError
 from worm_msgs.conditions import Conditions
 from worm_optimizer.operation.system import (
     MODES,
     NodeDescription,
-    SystemFileError,
     conditions_of,
     load_system_file,
     settings_of,
@@ -123,16 +123,16 @@ def test_an_argument_without_a_value_is_left_out(tmp_path):
 )
 def test_a_malformed_file_is_rejected_with_its_path(tmp_path, change, message):
     path = written(tmp_path, {**MINIMAL, **change})
-    with pytest.raises(SystemFileError, match=message) as error:
+    with pytest.raises(InputError, match=message) as error:
         load_system_file(path)
     assert str(path) in str(error.value)
 
 
 def test_unknown_modes_and_settings_are_rejected(tmp_path):
     content = load_system_file(written(tmp_path, MINIMAL))
-    with pytest.raises(SystemFileError, match="mode 'simulation': choose one of robot"):
+    with pytest.raises(InputError, match="mode 'simulation': choose one of robot"):
         content.system("simulation")
-    with pytest.raises(SystemFileError, match="no setting 'prot': did you mean port"):
+    with pytest.raises(InputError, match="no setting 'prot': did you mean port"):
         content.system("robot", prot="x")
 
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from gaits_for_tests import coarse_front
 
+from worm_model.errors import InputError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.travel_error import PRIOR
 from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.evaluation.task import MarginTask, Points
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness import uncertainty
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.prediction import stroke_to_ends, success_probability
@@ -225,5 +225,5 @@ def test_a_promise_that_the_nominal_robot_breaks_stands_no_margin():
 
 @pytest.mark.parametrize("probability", [0.0, 1.1, -1.0])
 def test_an_invalid_probability_is_rejected(probability):
-    with pytest.raises(OptimizerError, match="probability"):
+    with pytest.raises(InputError, match="probability"):
         PromiseTask(MarginTask(), uncertainty.every_phase(PAPER), probability)

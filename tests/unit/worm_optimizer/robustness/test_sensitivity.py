@@ -11,9 +11,8 @@ from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import sensitivity as command
-from worm_optimizer.report.analysis_figures import sensitivity_figure
-from worm_optimizer.robustness.sensitivity import Sensitivity, sensitivity
-from worm_optimizer.robustness.sobol import Indices, index_cells
+from worm_optimizer.report.front_plots import sensitivity_figure
+from worm_optimizer.robustness.sensitivity import Indices, Sensitivity, sensitivity
 
 GAIT = Gait(0.0755, 0.15)
 EXACT = {key: (value, value) for key, value in PAPER.as_dict().items()}
@@ -75,7 +74,7 @@ def test_no_impossible_share_is_printed_as_a_number():
     impossible = np.array([-0.055, 1.04, -1e-5, 1.0])
     bounds = np.stack([impossible - 0.1, impossible + 0.1])
     indices = Indices(impossible, impossible[::-1], bounds, bounds, 1.0, 1.0)
-    cells = [index_cells(indices, row) for row in range(4)]
+    cells = [command.index_cells(indices, row) for row in range(4)]
     assert [row[0] for row in cells] == ["< 0 %", "> 100 %", "0.0 %", "100.0 %"]
     assert [row[2] for row in cells] == ["100.0 %", "0.0 %", "> 100 %", "< 0 %"]
     assert cells[0][1] == "< 0 % to 4.5 %"

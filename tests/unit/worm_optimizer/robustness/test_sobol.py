@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from worm_optimizer.robustness.sobol import indices_of, saltelli_sample, warnings_of
+from worm_optimizer.commands.sensitivity import warnings_of
+from worm_optimizer.robustness.sensitivity import indices_of, saltelli_sample
 
 RANDOM = saltelli_sample(3, 1024, 3)
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples
 
+from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.actuation import length_change_range
@@ -15,7 +16,6 @@ from worm_model.simulation.closed_form import grooves_per_cycle
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import EDGE_ALLOWANCE, Bounds, MarginTask, Points
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front, transport_cost
 
 ACCEPTED = 2e-5  # relative excess of power over a gait of a dense grid
@@ -114,5 +114,5 @@ def test_a_speed_is_answered_between_the_columns():
 
 @pytest.mark.parametrize("wrong", [(2, 17), (21, 1)])
 def test_a_resolution_that_is_none_is_rejected(wrong):
-    with pytest.raises(OptimizerError, match="resolution:"):
+    with pytest.raises(InputError, match="resolution:"):
         Resolution(*wrong)

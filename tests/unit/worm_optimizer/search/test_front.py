@@ -6,12 +6,12 @@ import dataclasses
 import pytest
 from gaits_for_tests import QUICK, coarse_front, small_front
 
+from worm_model.errors import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds, MarginTask
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import (
     given_gait,
     make_front,
@@ -33,8 +33,8 @@ def test_the_margin_is_the_last_of_the_scan_before_the_cliff():
 
 def test_a_given_gait_has_the_prediction_of_the_front_that_it_was_taken_from():
     front = small_front(2e-3)
-    prediction, warning = given_gait(front.cruise.gait, FILE, front.settings)
-    assert prediction == front.cruise
+    prediction, warning = given_gait(front.three["cruise"].gait, FILE, front.settings)
+    assert prediction == front.three["cruise"]
     assert f"{prediction.success_probability:.2f}" in warning
     with pytest.raises(GaitError):
         given_gait(Gait(0.5, 0.2), FILE, QUICK)
@@ -57,7 +57,7 @@ def test_a_prediction_is_the_simulators():
 
 def test_past_the_cliff_the_robust_prediction_is_half_of_the_nominal_one():
     """model_notes.md, 14: both are predicted, so that the difference is visible."""
-    fastest = small_front(5e-3).max_speed
+    fastest = small_front(5e-3).three["max_speed"]
     assert fastest.nominal_grooves_per_cycle == pytest.approx(2.0, abs=1e-3)
     assert fastest.grooves_per_cycle == pytest.approx(1.0, abs=1e-3)
 
@@ -68,8 +68,8 @@ def test_the_front_is_that_of_its_direction(direction):
     front = make_front(file, dataclasses.replace(QUICK, margin=2e-3), direction)
     assert front.direction == direction
     assert {gait.direction for gait in front.gaits} == {direction}
-    assert front.cruise.power == pytest.approx(
-        evaluate_gait(front.cruise.gait, file.parameters).power
+    assert front.three["cruise"].power == pytest.approx(
+        evaluate_gait(front.three["cruise"].gait, file.parameters).power
     )
 
 
@@ -118,21 +118,21 @@ def test_a_gait_that_needs_a_pushing_cable_is_a_warning():
     ],
 )
 def test_the_limit_that_excludes_all_gaits_is_named(margin, limits, name):
-    with pytest.raises(OptimizerError, match=f"limits: {name} excludes"):
+    with pytest.raises(InputError, match=f"limits: {name} excludes"):
         make_front(FILE, dataclasses.replace(QUICK, margin=margin, limits=limits), 1)
 
 
 def test_where_every_fast_gait_pushes_the_pushing_force_is_named():
     limits, bounds = ActuatorLimits(pushing_force=0.1), Bounds(frequency_low=0.2)
     fast = dataclasses.replace(QUICK, margin=2e-3, limits=limits, bounds=bounds)
-    with pytest.raises(OptimizerError, match="limits: pushing_force excludes"):
+    with pytest.raises(InputError, match="limits: pushing_force excludes"):
         make_front(FILE, fast, 1)
 
 
 @pytest.mark.parametrize("kind", list(Robustness))
 def test_a_box_without_a_moving_gait_is_rejected(kind):
     settings = dataclasses.replace(QUICK, bounds=Bounds(0.01, 0.03), robustness=kind)
-    with pytest.raises(OptimizerError, match="allow longer strokes"):
+    with pytest.raises(InputError, match="allow longer strokes"):
         make_front(FILE, settings, 1)
 
 

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples
 
+from worm_model.errors import InputError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import make_front
 from worm_optimizer.search.gait_request import (
     GaitRequest,
@@ -25,7 +25,7 @@ from worm_optimizer.search.gait_request import (
 )
 
 FRONT = small_front()
-SLOWEST, FASTEST = FRONT.min_power, FRONT.max_speed
+SLOWEST, FASTEST = FRONT.three["min_power"], FRONT.three["max_speed"]
 
 
 def at_speed(speed: float):
@@ -100,7 +100,7 @@ def test_the_unreachable_is_rejected_with_the_nearest():
     ],
 )
 def test_a_request_of_impossible_values_is_rejected(values, named):
-    with pytest.raises(OptimizerError, match=named):
+    with pytest.raises(InputError, match=named):
         request_of(*values)
     assert request_of(1, math.nan, -1.0).objective is Objective.CRUISE
 
@@ -108,7 +108,7 @@ def test_a_request_of_impossible_values_is_rejected(values, named):
 def test_the_reverse_front_answers_in_its_direction():
     gait = select(small_front(3.4e-3, -1), GaitRequest(Objective.CRUISE)).prediction
     assert gait.direction == -1
-    assert gait.power == pytest.approx(FRONT.cruise.power, rel=1e-6)
+    assert gait.power == pytest.approx(FRONT.three["cruise"].power, rel=1e-6)
     assert np.sign(gait.speed) == 1.0
 
 
@@ -120,7 +120,7 @@ SETTINGS = dataclasses.replace(QUICK, margin=0.002)
 def test_the_gait_gains_with_its_margin_what_is_promised_at_the_phase_of_the_robot(shift):
     length = PAPER.initial_length + shift
     here = resting_content(CONTENT, length)
-    gait = make_front(here, SETTINGS, 1).cruise
+    gait = make_front(here, SETTINGS, 1).three["cruise"]
     resting = evaluate_gait(gait.gait, PAPER.replace(initial_length=length))
     assert gait.margin == 0.002
     assert gait.speed == pytest.approx(resting.speed, rel=1e-12)

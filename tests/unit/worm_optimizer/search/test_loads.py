@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gaits_for_tests import COARSE, QUICK, coarse_front
 
+from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.loads import content_under, under
 from worm_model.parameters import PAPER, ParameterFile
@@ -15,7 +16,6 @@ from worm_model.simulation.closed_form import largest_load
 from worm_model.simulation.simulator import evaluate_gait
 from worm_msgs.conditions import Conditions
 from worm_optimizer.evaluation.task import Bounds, MarginTask
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.uncertainty import phase_known
 from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.exact import Zoom, exact_front
@@ -58,7 +58,7 @@ def test_a_margin_may_be_stated_as_a_force():
 
 @pytest.mark.parametrize("values", [{"margin_n": -1.0}, {"margin_n": 5.0, "margin_m": 0.001}])
 def test_a_margin_that_contradicts_itself_is_rejected(values):
-    with pytest.raises(OptimizerError, match="margin"):
+    with pytest.raises(InputError, match="margin"):
         settings_of(values)
 
 
@@ -68,7 +68,7 @@ def test_conditions_of_the_settings_load_the_robot():
     weight = PAPER.rear_mass * 9.80665 * math.sin(math.radians(20.0))
     assert front.content.parameters.rear_load == pytest.approx(weight)
     level = make_front(ParameterFile(), dataclasses.replace(QUICK, margin=1e-3), 1)
-    assert front.cruise.cost_of_transport > level.cruise.cost_of_transport
+    assert front.three["cruise"].cost_of_transport > level.three["cruise"].cost_of_transport
 
 
 def test_an_interval_of_a_load_moves_with_the_conditions_and_is_drawn():
@@ -119,5 +119,5 @@ def test_gaits_that_do_not_move_carry_nothing():
 
 def test_a_load_that_the_fins_do_not_hold_is_the_reason():
     settings = dataclasses.replace(QUICK, margin=0.0, conditions=Conditions(tether_n=200.0))
-    with pytest.raises(OptimizerError, match="200 N; the fins hold up to"):
+    with pytest.raises(InputError, match="200 N; the fins hold up to"):
         make_front(ParameterFile(), settings, 1)

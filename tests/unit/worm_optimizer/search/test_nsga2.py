@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from gaits_for_tests import coarse_front, random_robot
 
+from worm_model.errors import InputError
 from worm_optimizer.evaluation.task import Bounds, MarginTask
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.nsga2 import compared, generations, reference_power_of
 from worm_optimizer.search.search_settings import Nsga2Settings
 
@@ -42,7 +42,7 @@ def test_a_box_of_one_gait_has_this_gait():
 
 @pytest.mark.parametrize("wrong", [{"population": 1}, {"generations": 0}, {"seed": -1}])
 def test_invalid_settings_are_rejected(wrong):
-    with pytest.raises(OptimizerError, match="search:"):
+    with pytest.raises(InputError, match="search:"):
         Nsga2Settings(**wrong)
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from gaits_for_tests import random_robot
 
+from worm_model.errors import InputError
 from worm_model.parameters import PAPER
 from worm_model.simulation.closed_form import cliff_margin
 from worm_optimizer.evaluation.task import Bounds, MarginTask
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front, transport_cost
 from worm_optimizer.search.price_of_robustness import (
     CLIFF_TOLERANCE,
@@ -96,7 +96,7 @@ def test_a_step_to_standing_still_is_a_cliff():
 def test_without_a_cliff_the_greatest_moving_margin_is_chosen_if_there_is_one():
     moving = (point(0.0, 50.0, 2), point(1e-3, 51.0, 2))
     assert PriceOfRobustness(moving, None, 3.4e-3, 1.1e-3).margin == 1e-3
-    with pytest.raises(OptimizerError, match="no gait within the bounds moves at any margin"):
+    with pytest.raises(InputError, match="no gait within the bounds moves at any margin"):
         _ = PriceOfRobustness((STILL,), None, 3.4e-3, 1.1e-3).margin
 
 
@@ -104,5 +104,5 @@ def test_without_a_cliff_the_greatest_moving_margin_is_chosen_if_there_is_one():
     "wrong", [(1e-3, 0.0, 1e-4), (0.0, 1.0, 1e-4), (0.0, 8e-3, 0.0), (0, 8e-3, 1e-9)]
 )
 def test_invalid_margins_are_rejected(wrong):
-    with pytest.raises(OptimizerError, match="scan:"):
+    with pytest.raises(InputError, match="scan:"):
         ScanSettings(*wrong)

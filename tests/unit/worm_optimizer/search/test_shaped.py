@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from gaits_for_tests import COARSE
 
+from worm_model.errors import InputError
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import cost_of_transport, evaluate_gait, simulate
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
 from worm_optimizer.evaluation.command_shape import SHAPE_ROW, SINUSOID, peak_rate, shapes_of
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
 from worm_optimizer.search.exact import ExactFront, Zoom, exact_front
 from worm_optimizer.search.shaped import ShapedTask, Track
@@ -212,7 +212,7 @@ def test_a_holding_power_makes_pretension_dearer():
     ],
 )
 def test_bounds_that_no_gait_has_are_rejected(wrong):
-    with pytest.raises(OptimizerError, match=next(iter(wrong))):
+    with pytest.raises(InputError, match=next(iter(wrong))):
         ShapeBounds(**wrong)
 
 

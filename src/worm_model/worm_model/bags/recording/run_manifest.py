@@ -9,7 +9,6 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import yaml
@@ -18,6 +17,7 @@ from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.stored_file import AttachedFile
 from worm_model.bags.opening import Bag
 from worm_model.bags.recording.recorder import Manifest
+from worm_model.checksum import versions_of
 from worm_model.errors import printable
 from worm_model.loads import content_under
 from worm_model.parameters import (
@@ -75,7 +75,8 @@ def run_manifest(
         "parameter_file": "",
         "parameter_sha256": "",
         **_stored(conditions),
-        **_versions(),
+        "version.ros_distro": os.environ.get("ROS_DISTRO", ""),
+        **{f"version.{name}": text for name, text in versions_of(VERSIONED).items()},
         **_notes(notes),
     }
     if parameter_file is not None:
@@ -165,16 +166,3 @@ def _notes(notes: Sequence[str]) -> Mapping[str, str]:
 def is_text(text: str) -> bool:
     """Return True if a text can be written as UTF-8, and False for an argument with invalid bytes."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
-
-
-def _versions() -> Mapping[str, str]:
-    versions = {
-        "version.python": platform.python_version(),
-        "version.ros_distro": os.environ.get("ROS_DISTRO", ""),
-    }
-    for package in VERSIONED:
-        try:
-            versions[f"version.{package}"] = version(package)
-        except PackageNotFoundError:
-            continue  # without a Python distribution there is no version
-    return versions

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.errors import InputError
+from worm_model.errors import IdentificationError
 from worm_model.parameters import PAPER
 from worm_model.run import (
     Activity,
@@ -60,10 +60,6 @@ FEWEST_MOVED = 10  # smallest number of goals for an estimate of the onset or of
 # Ticks, smallest range of the goals for an estimate of the radius. The rounding error of the radius is then at most
 # half a percent.
 FEWEST_TICKS = 200
-
-
-class LabError(InputError):
-    """Lab folder that cannot be used; the message is one line with place and reason."""
 
 
 @dataclass(frozen=True)
@@ -121,14 +117,14 @@ class LabRun:
 def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
     """Read a run's folder."""
     if not folder.is_dir():
-        raise LabError(f"{folder} is not a folder; expected one with {', '.join(FILES)}")
+        raise IdentificationError(f"{folder} is not a folder; expected one with {', '.join(FILES)}")
     tables = {
         name: read_table(folder / name, columns)
         for name, columns in FILES.items()
         if (folder / name).exists()
     }
     if not tables:
-        raise LabError(f"{folder} holds none of {', '.join(FILES)}")
+        raise IdentificationError(f"{folder} holds none of {', '.join(FILES)}")
     gait = read_gait(folder)
     clock = _clock(folder, tables, settings)
     transmission = _transmission(tables.get("servo.csv"), gait, settings, clock.start)
@@ -167,13 +163,13 @@ class _Clock:
 
 
 def _clock(folder: Path, tables: Mapping[str, Table], settings: LabSettings) -> _Clock:
-    """Return the clock of the logs. Raise LabError if the times, the onset and the epoch do not fit to each other."""
+    """Return the clock of the logs. Raises an error if the times, the onset and the epoch do not fit to each other."""
     times = {name: table["time_s"][[0, -1]].tolist() for name, table in tables.items()}
     start, end = math.floor(min(times.values())[0]), max(last for _, last in times.values())
     onset = start if settings.onset is None else settings.onset
     if max(end, onset) - min(start, onset) > LONGEST:
         spans = ", ".join(f"{name} from {a:.10g} to {b:.10g} s" for name, (a, b) in times.items())
-        raise LabError(
+        raise IdentificationError(
             f"{folder}: more than {LONGEST_DAYS} days between the times ({spans}; onset {onset:.10g} s): give all in s "
             "of one clock"
         )
@@ -181,7 +177,7 @@ def _clock(folder: Path, tables: Mapping[str, Table], settings: LabSettings) -> 
         return _Clock(start, end, SECOND)
     origin = settings.epoch + start * SECOND
     if not 0 <= origin <= LATEST - LONGEST * SECOND:
-        raise LabError(
+        raise IdentificationError(
             f"{folder}: times from {start} to {end:.10g} s with --epoch {settings.epoch / SECOND:.10g} lie before 1970 "
             "or after 2038, for which ROS has no stamps; give --epoch 0 if the times are s since 1970"
         )
@@ -276,7 +272,7 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Table:
     wrong = np.flatnonzero(~(np.diff(time) > 0.0))
     if not np.isfinite(time).all() or len(wrong):
         line = int(wrong[0]) + 3 if len(wrong) else 2
-        raise LabError(f"{path}, near line {line}: {columns[0]} does not rise")
+        raise IdentificationError(f"{path}, near line {line}: {columns[0]} does not rise")
     return table
 
 
@@ -289,7 +285,7 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> Table:
             reader.fieldnames = header
             missing = [name for name in columns if name not in header]
             if missing:
-                raise LabError(
+                raise IdentificationError(
                     f"{path} has no column {missing[0]}; its first line is {','.join(header)!r}"
                 )
             rows = [
@@ -297,22 +293,26 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> Table:
                 for row in reader
             ]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LabError(f"{path} cannot be read: {error}") from None
+        raise IdentificationError(f"{path} cannot be read: {error}") from None
     if not rows:
-        raise LabError(f"{path} has no rows")
+        raise IdentificationError(f"{path} has no rows")
     values = np.array(rows)
     return {name: values[:, index] for index, name in enumerate(columns)}
 
 
 def _number(text: str | None, path: Path, line: int, name: str) -> float:
     if text is None:
-        raise LabError(f"{path}, line {line}: {name} is missing: the line is cut off")
+        raise IdentificationError(f"{path}, line {line}: {name} is missing: the line is cut off")
     try:
         value = float(text) if text.strip() else math.nan
     except ValueError:
-        raise LabError(f"{path}, line {line}: {name} is {text!r}, not a number") from None
+        raise IdentificationError(
+            f"{path}, line {line}: {name} is {text!r}, not a number"
+        ) from None
     if abs(value) > MOST:
-        raise LabError(f"{path}, line {line}: {name} is {value:g}; numbers are at most {MOST:g}")
+        raise IdentificationError(
+            f"{path}, line {line}: {name} is {value:g}; numbers are at most {MOST:g}"
+        )
     return value
 
 
@@ -334,11 +334,11 @@ def read_gait(folder: Path) -> Gait | None:
         }
         return gait_of(given)
     except KeyError as error:
-        raise LabError(f"{path} lacks {error} of {name}") from None
+        raise IdentificationError(f"{path} lacks {error} of {name}") from None
     except GaitError as error:
-        raise LabError(f"{path}: the gait of {name} is invalid: {error}") from None
+        raise IdentificationError(f"{path}: the gait of {name} is invalid: {error}") from None
     except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise LabError(f"{path} is not a list of gaits by run: {error}") from None
+        raise IdentificationError(f"{path} is not a list of gaits by run: {error}") from None
 
 
 def _initial_length(

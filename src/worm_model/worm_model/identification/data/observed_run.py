@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from worm_model.arrays import Array
+from worm_model.errors import IdentificationError
 from worm_model.gait import Gait
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.parameters import PAPER
 from worm_model.run import (
     PLAYING,

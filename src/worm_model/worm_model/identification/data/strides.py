@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 
 # Largest deviation of a stride from whole grooves, in pitches per groove. If it is larger, a fin was slipping at the

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.block_least_squares import Problem, Quantity, Solution, solve
-from worm_model.identification.fits.robust import noise_of
+from worm_model.identification.fits.estimate import noise_of
 from worm_model.parameters import PAPER
 from worm_model.simulation.actuation import resting_change
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, rest_of

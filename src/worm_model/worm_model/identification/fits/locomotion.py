@@ -30,8 +30,8 @@ from scipy.ndimage import median_filter
 from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.block_least_squares import Problem, Quantity, Solution, solve
+from worm_model.identification.fits.estimate import noise_of
 from worm_model.identification.fits.measured_length import MeasuredLength
-from worm_model.identification.fits.robust import noise_of
 from worm_model.parameters import ParameterError, Parameters
 from worm_model.simulation.kernel import march
 from worm_model.simulation.kernel.grooves import EVEN

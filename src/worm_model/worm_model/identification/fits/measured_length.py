@@ -30,7 +30,7 @@ from worm_model.identification.fits.actuation_fit import (
     predicted_length_change,
 )
 from worm_model.identification.fits.block_least_squares import own_deviations
-from worm_model.identification.fits.robust import OUTLIER, noise_of, scale_of
+from worm_model.identification.fits.estimate import OUTLIER, noise_of, scale_of
 from worm_model.parameters import PAPER
 from worm_model.simulation.actuation import resting_change
 from worm_model.simulation.smoothing import smooth

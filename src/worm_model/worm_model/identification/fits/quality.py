@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.data.observed_run import SAME_PLACE, Recording
+from worm_model.identification.fits.estimate import noise_of
 from worm_model.identification.fits.locomotion import RIDGES, Traverse
 from worm_model.identification.fits.measured_length import AVERAGED, MeasuredLength, moving_median
-from worm_model.identification.fits.robust import noise_of
 
 LONGEST_GAP = 1.0  # s; the interpolated length within a longer gap is uncertain
 # Smallest ratio of the range of the measured lengths to that of the commanded ones, if the body follows

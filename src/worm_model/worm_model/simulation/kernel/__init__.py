@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import logging
 import os
 import sys
 import tempfile
@@ -65,7 +66,12 @@ def load_compiled(package: str, folder: Path, further: Sequence[Path] = ()) -> N
     sys.modules[package].__path__ = [str(folder)]
     sources = sorted(folder.glob("[!_]*.py"))
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_directory(() if own else [*sources, *further]))
+    cache = cache_directory(() if own else [*sources, *further])
+    if not any(cache.iterdir()):
+        logging.getLogger(package).warning(
+            "%s is compiled at its first use, which takes a minute", package
+        )
+    numba.config.CACHE_DIR = str(cache)
     try:
         for source in sources:
             importlib.import_module(f"{package}.{source.stem}")

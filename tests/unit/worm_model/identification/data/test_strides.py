@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from virtual_campaign import CAMPAIGN, VirtualCampaign, virtual_campaign
 
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.data.strides import check_pitch, pitch_of_strides
 from worm_model.identification.drift_estimates import estimate_bag
 from worm_model.identification.stages import identify

@@ -7,12 +7,12 @@ import pytest
 from worm_model.identification.fits.estimate import (
     Estimate,
     admissible,
+    dependence,
     follow_profile,
     if_identifiable,
     not_identifiable,
 )
 from worm_model.identification.fits.resampling import correlation
-from worm_model.identification.fits.robust import dependence
 from worm_model.identification.locomotion_stage import deviations_of
 
 

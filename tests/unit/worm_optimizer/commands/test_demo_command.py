@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from worm_model.errors import RecordingError
-from worm_optimizer.operation.demo_run import compare
+from worm_optimizer.commands.demo import compare
 from worm_optimizer.report.expectation import Band, Bands
 
 
