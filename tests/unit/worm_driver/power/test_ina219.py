@@ -201,8 +201,7 @@ def test_a_current_too_small_for_the_register_is_rejected_and_the_smallest_one_i
 @pytest.mark.parametrize(
     ("resistance", "current", "expected"),
     [
-        *((resistance, current, "") for resistance, current in ((0.0, 3.2), (-0.1, 3.2))),
-        *((0.1, current, "") for current in (0.0, math.nan)),
+        *((0.0, 3.2, None), (-0.1, 3.2, None), (0.1, 0.0, None), (0.1, math.nan, None)),
         (0.1, 5.0, r"at most 3\.2 A, or a smaller shunt"),
     ],
 )
