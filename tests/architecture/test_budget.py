@@ -47,7 +47,7 @@ def words(file: Path) -> int:
 # what is counted, files, function, most
 BUDGET = (
     ("lines of code in src", "src/**/*.py", code_lines, 42_700),
-    ("all lines in src", "src/**/*.py", lines, 63_400),
+    ("all lines in src", "src/**/*.py", lines, 63_450),
     ("modules in src", "src/**/*.py", lambda _: 1, 370),
     ("lines in tests", "tests/**/*.py", lines, 35_900),
     ("words in docs", "docs/*.md", words, 27_000),

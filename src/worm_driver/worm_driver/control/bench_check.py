@@ -226,7 +226,9 @@ class ServoCheck:
                     )
         finally:
             self._bus.set_baud_rate(usual)
-        return self._ping(self._settings.cable_ids[0])
+        raise ConfigurationError(
+            "no servo answers at any baud rate: is their supply on (emergency switch), and the data cable connected?"
+        )
 
     def _model(self, number: int) -> str:
         self._models[number] = servos.model_of(number, self._identities[number])

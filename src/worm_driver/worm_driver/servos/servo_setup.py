@@ -272,8 +272,8 @@ def require_no_error(servo: Servo, status: int) -> None:
     """Check that a servo's hardware_error_status is 0."""
     if status:
         raise ConfigurationError(
-            f"servo {servo.number} reports {hardware_error_text(status)}: remove the cause, then call the "
-            "service reboot"
+            f"servo {servo.number} reports {hardware_error_text(status)}: remove the cause, then switch its supply off "
+            "and on, or call the driver's service reboot"
         )
 
 

@@ -49,6 +49,9 @@ FEWEST_CYCLES = 2  # that are measured, for a statement on a run
 # standard deviation of a length, because a robot differs from the template
 _SHAPE_ERROR_M = 0.0002
 _AT_SWITCH_S = 0.15  # half window of the length at a switch
+_JUMP_S = 0.1  # duration of the jump of a module at a switch
+# between two samples at the last switch or after it; in a longer gap the switch may be elsewhere, or a later one hidden
+_MOST_HIDDEN_S = 0.3
 
 
 @dataclass(frozen=True)
@@ -241,6 +244,13 @@ def _remaining(motion: Motion, half: HalfCycle, time: float, release: Release) -
     return float(half.travel(np.asarray(half.end_length))) - now
 
 
+def _largest_gap(motion: Motion, start: float, end: float) -> float:
+    """Return the longest time (s) without a sample from a switch at ``start`` to ``end``, also if it began before."""
+    first = max(int(np.searchsorted(motion.time, start - _JUMP_S)) - 1, 0)
+    seen = motion.time[first:]
+    return float(np.diff([*seen[seen < end], end]).max())
+
+
 def _fin_margin(
     motion: Motion,
     half: HalfCycle,
@@ -254,8 +264,8 @@ def _fin_margin(
         return NOT_MEASURED
     time, p = found.times[-1], parameters
     length = _remaining(motion, half, time, release)
-    if not math.isfinite(length):
-        return NOT_MEASURED  # a marker was hidden at the switch
+    if not math.isfinite(length) or _largest_gap(motion, time, half.end) > _MOST_HIDDEN_S:
+        return NOT_MEASURED  # a marker was hidden at the switch or after it
     near = motion.length_at(np.array([time - 0.05, time + 0.05]))
     by_time = found.last_sd * abs(near[1] - near[0]) / 0.1
     ends = (motion.window(window)[1] for window in (_AT_SWITCH_S, TURNING_S))

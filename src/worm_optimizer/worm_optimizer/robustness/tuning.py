@@ -166,7 +166,7 @@ def _next(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning:
         reserve = min(smallest.stroke + _RESERVE_M, limits.largest_stroke(smallest))
         return _run(known, replace(smallest, stroke=reserve), _margins(known, last))
     if last.stroke - smallest.stroke > _SAME_M:
-        return _run(known, smallest, "a shorter stroke keeps the grooves, too")
+        return _run(known, smallest, "a shorter stroke has the probability, too")
     shorter = replace(last, stroke=min(smallest.stroke + _RESERVE_M, last.stroke))
     return _outcome(TuneState.DONE, known, shorter, _margins(known, last))
 

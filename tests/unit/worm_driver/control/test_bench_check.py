@@ -120,7 +120,8 @@ def test_a_wrong_baud_rate_is_named():
 
 def test_no_servo_at_all_and_one_too_many():
     rows, _ = servo_rows(fault("vanished", duration=LONG))
-    assert "servo 1 does not answer" in rows["ids"].found
+    assert "any baud rate" in rows["ids"].found
+    assert "supply" in rows["ids"].remedy
     rows, _ = servo_rows(
         lambda _: None, fin_ids=(11,), forward_angles=(2.356,), reverse_angles=(3.9,)
     )

@@ -229,6 +229,17 @@ def test_hidden_markers_leave_the_other_cycles_as_they_are():
         )
 
 
+@pytest.mark.parametrize(("first", "last"), [(3.0, 5.5), (3.5, 4.7)])
+def test_a_fin_whose_last_switch_may_be_hidden_is_not_measured(first: float, last: float):
+    gait = Gait(0.0713, 0.2)
+    run = crawl(some_robot(1), gait).run
+    phase = np.mod((run.tracker.stamp - run.gait_state.onset.max()) * 1e-9 - first, gait.period)
+    front = np.where(phase < last - first, np.nan, run.tracker.front_position)
+    seen = dataclasses.replace(run, tracker=dataclasses.replace(run.tracker, front_position=front))
+    assert Fin.FRONT in measure_margin(run, PAPER, 2).beliefs
+    assert Fin.FRONT not in measure_margin(seen, PAPER, 2).beliefs
+
+
 def test_frames_with_confused_markers_change_nothing():
     run, draw = recorded(some_robot(0)), np.random.default_rng(0)
     wrong = draw.random(run.tracker.stamp.size) < 0.01
