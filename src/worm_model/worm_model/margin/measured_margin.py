@@ -248,7 +248,8 @@ def _largest_gap(motion: Motion, start: float, end: float) -> float:
     """Return the longest time (s) without a sample from a switch at ``start`` to ``end``, also if it began before."""
     first = max(int(np.searchsorted(motion.time, start - _JUMP_S)) - 1, 0)
     seen = motion.time[first:]
-    return float(np.diff([*seen[seen < end], end]).max())
+    end = max(start, end)  # a lagging fin may switch after the turning point
+    return float(np.diff(seen[seen < end], append=end).max(initial=0.0))
 
 
 def _fin_margin(
