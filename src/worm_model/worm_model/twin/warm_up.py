@@ -4,8 +4,6 @@
 The script prints the folder of the kernel's cache.
 """
 
-from multiprocessing import Process
-
 import numpy as np
 
 from worm_model.gait import FORWARD, Gait
@@ -77,11 +75,5 @@ def _recording(gait: Gait) -> Run:
 
 
 if __name__ == "__main__":
-    # Two processes end sooner than one, although both compile what core and kernel have in common.
-    both = Process(target=_call_core), Process(target=_call_kernel)
-    for part in both:
-        part.start()
-    for part in both:
-        part.join()
-    main()  # what one of them could not store may be missing
+    main()
     print(cache_directory())  # noqa: T201 - for the script worm
