@@ -202,6 +202,11 @@ def clock_of(device: str, port: bytes) -> Clock:
     return MachineClock()
 
 
+def is_virtual(port: str) -> bool:
+    """Return True if a serial port is the pseudo-terminal of a virtual robot, also through links."""
+    return os.path.realpath(port).startswith("/dev/pts/")
+
+
 def last_link(device: str) -> str:
     """Return the last link in a chain of links to a device. A device that is not a link is returned unchanged."""
     path = Path(device)

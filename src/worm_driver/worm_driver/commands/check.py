@@ -19,7 +19,7 @@ from worm_driver.control.computer_check import OF_REAL_TIME, computer_checks
 from worm_driver.control.driver_settings import DriverSettings, load_body
 from worm_driver.driver_errors import ConfigurationError
 from worm_driver.servos.state_reader import STATE_SIZE, STATE_START
-from worm_driver.simulated_clock import I2C, SERIAL, clock_of
+from worm_driver.simulated_clock import I2C, SERIAL, clock_of, is_virtual
 from worm_msgs.claim import DRIVER, ROBOT
 from worm_msgs.command_parser import DONE, FAILED, Parser
 from worm_msgs.driver_file import DriverFile, read_driver_file
@@ -98,8 +98,7 @@ def _rows(
 def _computer_rows(
     settings: DriverSettings, namespace: str, clock: Clock, exchange: Callable[[], object]
 ) -> Iterator[Row]:
-    is_virtual = os.path.realpath(settings.port).startswith("/dev/pts/")
-    roles = (DRIVER,) if is_virtual else (DRIVER, ROBOT)
+    roles = (DRIVER,) if is_virtual(settings.port) else (DRIVER, ROBOT)
     checks = computer_checks(settings, os.environ, namespace, roles, exchange)
     for name, check in checks.items():
         if clock.epoch_ns is not None and name in OF_REAL_TIME:

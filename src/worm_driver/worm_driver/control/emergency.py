@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from worm_driver.simulated_clock import last_link
+from worm_driver.simulated_clock import is_virtual, last_link
 
 #: Folder shared by the service and every login shell: the state directory of worm-driver.service.
 SHARED_FOLDER = Path("/var/lib/worm")
@@ -50,11 +50,10 @@ def latch_names(namespace: str, servos: Iterable[int], port: str) -> tuple[str, 
         servos: ids of all servos.
         port: path of the serial port.
     """
-    device = os.path.realpath(port)
-    if device.startswith("/dev/pts/"):
+    if is_virtual(port):
         return (f"{_VIRTUAL}{_plain(last_link(port))}",)
     robot = _plain(" ".join((namespace.strip("/"), *map(str, sorted(servos)))))
-    return f"emergency_stop_robot_{robot}", f"emergency_stop_device{_plain(device)}"
+    return f"emergency_stop_robot_{robot}", f"emergency_stop_device{_plain(os.path.realpath(port))}"
 
 
 def _plain(text: str) -> str:

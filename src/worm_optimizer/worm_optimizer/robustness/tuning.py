@@ -258,11 +258,11 @@ def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
     }
     models = {}
     for fin, (expected, spread) in priors.items():
-        telling = _telling(runs, fin)
-        margins = [run.margins(fin) for run in telling]
+        used = _informative(runs, fin)
+        margins = [run.margins(fin) for run in used]
         terms = [
             np.tile(_terms(fin, run.gait, about, corner), (margin.size, 1))
-            for run, (margin, _, _) in zip(telling, margins, strict=True)
+            for run, (margin, _, _) in zip(used, margins, strict=True)
         ]
         slope, slope_sd = _REAR_BY_FREQUENCY if fin is Fin.REAR else _FRONT_BY_FREQUENCY
         margin, sds, place = (np.concatenate(columns) for columns in zip(*margins, strict=True))
@@ -277,19 +277,19 @@ def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
     return _Knowledge(models, tuple(run.gait for run in runs), corner)
 
 
-def _telling(runs: Sequence[RunMargin], fin: Fin) -> list[RunMargin]:
-    """Return the last run, and the earlier ones that tell the margin of a fin.
+def _informative(runs: Sequence[RunMargin], fin: Fin) -> list[RunMargin]:
+    """Return the last run, and the earlier ones that show the margin of a fin.
 
     A run that never gains its grooves does not show which fin loses one. Where the front fin loses some, the rear fin
     begins its next stroke elsewhere.
     """
 
-    def tells(run: RunMargin) -> bool:
+    def shows(run: RunMargin) -> bool:
         front = run.beliefs.get(Fin.FRONT)
         keeps = fin is Fin.FRONT or (front is not None and front.expected > 0.0)
         return run.shows_losing_fin and keeps
 
-    return [*filter(tells, runs[:-1]), runs[-1]]
+    return [*filter(shows, runs[:-1]), runs[-1]]
 
 
 def _terms(fin: Fin, gait: Gait, about: Gait, corner: float) -> list[float]:
