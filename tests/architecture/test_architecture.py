@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from worm_model.twin.core.memory import MEMORY
+
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(path for path in (ROOT / "src").glob("*/*/**/*.py") if path.parts[-2] != "launch")
 
@@ -402,3 +404,16 @@ def test_a_match_rejects_members_without_a_case():
         if isinstance(node, ast.Match) and ast.unparse(node.cases[-1].pattern) != "_"
     ]
     assert open_ends == []
+
+
+def test_only_one_module_changes_the_record_of_the_twin():
+    """Between two calls of the core, `record_changes` does it; `stored_memory` fills a new one."""
+    folder = ROOT / "src/worm_model/worm_model/twin"
+    changes = {
+        path.stem
+        for path in folder.glob("*.py")
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store)
+        if isinstance(node.slice, ast.Constant) and node.slice.value in MEMORY.names
+    }
+    assert changes == {"record_changes", "stored_memory"}

@@ -46,9 +46,9 @@ def words(file: Path) -> int:
 
 # what is counted, files, function, most
 BUDGET = (
-    ("lines of code in src", "src/**/*.py", code_lines, 42_700),
-    ("all lines in src", "src/**/*.py", lines, 63_450),
-    ("modules in src", "src/**/*.py", lambda _: 1, 370),
+    ("lines of code in src", "src/**/*.py", code_lines, 42_740),
+    ("all lines in src", "src/**/*.py", lines, 63_530),
+    ("modules in src", "src/**/*.py", lambda _: 1, 371),
     ("lines in tests", "tests/**/*.py", lines, 35_900),
     ("words in docs", "docs/*.md", words, 27_000),
     ("words in README.md", "README.md", words, 1_100),

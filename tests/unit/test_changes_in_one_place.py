@@ -141,7 +141,7 @@ from worm_model.parameters import PAPER
 from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 from worm_model.twin.core.memory import MEMORY
 from worm_model.twin.recorded_samples import rows_of_run
-from worm_model.twin.run_start import driver_state_of
+from worm_model.twin.data.samples import driver_state_of
 from worm_model.twin.data.samples import SampleKind
 from worm_optimizer.report.expectation import expect
 from worm_optimizer.robustness.prediction import predict

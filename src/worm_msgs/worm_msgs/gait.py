@@ -135,60 +135,42 @@ class Gait:
     @property
     def peak_speed(self) -> float:
         """Largest commanded speed of the cable in m/s, which occurs in the faster half of the cycle."""
-        cosine = self.profile is Profile.COSINE
-        peak = 0.5 * math.pi if cosine else 1.0 / (1.0 - self.ramp_share)
-        faster = min(self.contraction_share, 1.0 - self.contraction_share)
-        return peak * self.stroke * self.frequency / faster
+        rate = peak_rate(self.profile, self.contraction_share, self.ramp_share)
+        return float(rate) * self.stroke * self.frequency
 
     def length_change(self, time: float) -> float:
         """Return u_cmd in m (≤ 0) at ``time``, s since the onset. It needs no NumPy, for the driver's control loop."""
-        phase = self.frequency * time % 1.0
-        if phase < self.contraction_share:
-            contracted = self._progress(phase / self.contraction_share)
-        else:
-            contracted = 1.0 - self._progress(self.extended_share(phase))
-        return self.point_of_rest - self.stroke * contracted
+        return float(self._command(time, math.cos, min, max))
+
+    def command(self, time: Any) -> Any:
+        """Return u_cmd in m for an array of times."""
+        import numpy as np  # Imported here, because driver and --help need no NumPy.
+
+        return self._command(np.asarray(time), np.cos, np.minimum, np.maximum)
 
     def extended_share(self, phase: float) -> float:
         """Return the elapsed part of the extension at a phase (0 to 1) of a cycle; negative before the extension."""
         return (phase - self.contraction_share) / (1.0 - self.contraction_share)
 
-    def _progress(self, part: float) -> float:
-        """Return g, the fraction of the stroke after the fraction ``part`` of a half cycle."""
+    def _command(self, time: Any, cos: Any, minimum: Any, maximum: Any) -> Any:
+        """Return u_cmd in m at one time or at an array of times, with the functions for one or the other."""
+        phase, share = self.frequency * time % 1.0, self.contraction_share
+        # g is symmetric, g(q) = 1 − g(1 − q), so the extension is a contraction played backwards.
+        part = minimum(phase / share, (1.0 - phase) / (1.0 - share))
         if self.profile is Profile.COSINE:
-            return 0.5 * (1.0 - math.cos(math.pi * part))
-        ramp = self.ramp_share
-        if part < ramp:
-            return 0.5 * part**2 / (ramp * (1.0 - ramp))
-        if part > 1.0 - ramp:
-            return 1.0 - 0.5 * (1.0 - part) ** 2 / (ramp * (1.0 - ramp))
-        return (part - 0.5 * ramp) / (1.0 - ramp)
+            progress = 0.5 * (1.0 - cos(math.pi * part))
+        else:
+            ramp = self.ramp_share
+            slow = maximum(ramp - part, 0.0) ** 2 - maximum(part - (1.0 - ramp), 0.0) ** 2
+            progress = (part - 0.5 * ramp + 0.5 * slow / ramp) / (1.0 - ramp)
+        return self.point_of_rest - self.stroke * progress
 
-    def command(self, time: Any) -> Any:
-        """Return u_cmd in m for an array of times.
 
-        The values equal those of `length_change`. For a trapezoidal profile they can differ by floating-point rounding.
-        """
-        import numpy as np  # Imported here, because driver and --help need no NumPy.
-
-        phase, share = np.mod(self.frequency * time, 1.0), self.contraction_share
-        extending = phase >= share
-        part = np.where(extending, (phase - share) / (1.0 - share), phase / share)
-        progress = self._array_progress(part)
-        return -self.pretension - self.stroke * np.where(extending, 1.0 - progress, progress)
-
-    def _array_progress(self, part: Any) -> Any:
-        import numpy as np
-
-        if self.profile is Profile.COSINE:
-            return 0.5 * (1.0 - np.cos(math.pi * part))
-        ramp, speed = self.ramp_share, 1.0 / (1.0 - self.ramp_share)
-        steady = speed * (part - 0.5 * ramp)
-        return np.select(
-            [part < ramp, part > 1.0 - ramp],
-            [0.5 * speed / ramp * part**2, 1.0 - 0.5 * speed / ramp * (1.0 - part) ** 2],
-            steady,
-        )
+def peak_rate(profile: Any, contraction_share: Any, ramp_share: Any) -> Any:
+    """Return the largest commanded cable speed of a waveform, or of arrays of them, by stroke times frequency."""
+    is_cosine = profile == Profile.COSINE
+    peak = is_cosine * (0.5 * math.pi) + (1.0 - is_cosine) / (1.0 - ramp_share)
+    return peak / (0.5 - abs(contraction_share - 0.5))
 
 
 def _check(name: str, value: float, unit: str, low: float, high: float) -> None:

@@ -13,7 +13,9 @@ from worm_model.run import Activity
 from worm_model.simulation import simulator
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.twin.core.memory import Memory
-from worm_model.twin.run_start import DriverState, begin_run, motion_of
+from worm_model.twin.data.samples import DriverState
+from worm_model.twin.record_changes import turn_fins
+from worm_model.twin.run_start import begin_run, motion_of
 from worm_model.twin.twin import Twin, TwinState
 
 HORIZON_S = 10.0  # default horizon
@@ -94,11 +96,8 @@ def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, simulat
     """
     if gait.direction != state.direction:
         memory = Memory(**{name: part.copy() for name, part in state.memory._asdict().items()})
-        m = memory.record[0]
-        m["rest_ns"] = now = int(m["processed_ns"])
-        if m["pulling"]:
-            m["released_ns"] = now
-        onset = now + REST_NS
+        turn_fins(memory.record[0])
+        onset = int(memory.record[0]["processed_ns"]) + REST_NS
         driver = DriverState(onset, Activity.RUNNING, gait, onset)
         begin_run(memory, driver, twin.parameters, twin.settings, state.starts)
         state = replace(state, memory=memory)

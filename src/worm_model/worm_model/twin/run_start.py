@@ -22,24 +22,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from worm_model.parameters import Parameters
-from worm_model.run import PLAYING, SAME_ONSET_NS, Activity, is_another_run
+from worm_model.run import PLAYING, SAME_ONSET_NS, is_another_run
 from worm_model.simulation.actuation import length_change_of_command, resting_change
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
+from worm_model.twin import record_changes
 from worm_model.twin.core.memory import NANOSECONDS, Memory
-from worm_model.twin.data.samples import GAIT_VALUES, SampleKind
+from worm_model.twin.data.samples import DriverState, SampleKind
+from worm_model.twin.record_changes import Beginning, Place
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
-from worm_msgs.gait import FORWARD, WAVEFORM, Gait, GaitError, gait_of
+from worm_msgs.gait import FORWARD, Gait
 
 # A twin that joins a run at most this long after the onset does not report the delay.
-LATE_NS = 20_000_000
+LATE_S = 0.02
 PLAUSIBLE_M = 0.02  # largest plausible difference between a measured L0 and the parameter
 # Tolerance for the length change of a body whose slack is taken up, relative to the effect of the slack.
 TIGHTENED = 0.35
@@ -56,33 +58,6 @@ SURE_M = 0.002  # beyond this, the state of the fins is uncertain
 JOIN_STEP_S = 0.01  # time step at which a late twin computes the commands that it missed
 
 
-@dataclass(frozen=True)
-class DriverState:
-    """State of the driver, valid from ``stamp_ns`` on.
-
-    ``onset_ns``, ``run`` and ``cycle`` are 0 if unknown; ``gait`` is None without an admissible gait.
-    """
-
-    stamp_ns: int
-    activity: Activity
-    gait: Gait | None = None
-    onset_ns: int = 0
-    run: int = 0
-    cycle: int = 0
-
-
-def driver_state_of(row: Any) -> DriverState:
-    """Return the driver state of a sample of kind GAIT; an inadmissible gait is replaced by None."""
-    gait: Gait | None
-    try:
-        gait = gait_of({name: row[value] for name, value in GAIT_VALUES.items()})
-    except GaitError:
-        gait = None
-    activity = Activity(int(row["state"]))
-    identity = int(row["onset"]), int(row["run"]), int(row["cycle"])
-    return DriverState(int(row["sent"]), activity, gait, *identity)
-
-
 def is_new_run(m: Any, driver: DriverState) -> bool:
     """Return True if a driver state is the first one of a run; ``m`` is the record of the memory."""
     if driver.activity not in PLAYING or driver.onset_ns <= 0:
@@ -93,26 +68,6 @@ def is_new_run(m: Any, driver: DriverState) -> bool:
         return True  # a restarted driver, which counts its runs from 1 again
     before = int(m["run"]), int(m["reported_cycle"]), int(m["start_ns"])
     return bool(is_another_run(before, (driver.run, driver.cycle, driver.onset_ns)))
-
-
-@dataclass(frozen=True)
-class Place:
-    """Place of a robot at rest.
-
-    Attributes:
-        x1: position of the rear module relative to its anchor, m.
-        front_groove: front anchor in grooves from the rear one.
-        anchor: position of the rear anchor in the tracker's frame, m.
-    """
-
-    x1: float
-    front_groove: int
-    anchor: float
-
-    def off(self, position: float, pitch: float) -> float:
-        """Return the distance (m) between a rear module at ``position`` (m) and this place, modulo the ``pitch``."""
-        off = position - (self.anchor + self.x1)
-        return abs(off - round(off / pitch) * pitch)
 
 
 def begin_run(
@@ -137,29 +92,26 @@ def begin_run(
     Returns:
         Stamp (ns) from which the twin follows the run, and a message.
     """
-    m = memory.record[0]
-    text, tightened = _stand(memory, driver, parameters, settings, starts.get(driver.onset_ns))
-    start = max(driver.onset_ns, int(m["processed_ns"]))
-    late = start - driver.onset_ns
-    m["run"], m["start_ns"], m["end_ns"] = driver.run, driver.onset_ns, 0
-    m["has_gait"] = driver.gait is not None
-    if driver.gait is not None:
-        for name in WAVEFORM:
-            m[name] = getattr(driver.gait, name)
-    rest = 0.0 if driver.gait is None else float(driver.gait.command(0.0))
-    m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, rest, tightened
-    if late > 0 and driver.gait is not None:
-        m["command"], m["answer"] = _joined(driver.gait, late / NANOSECONDS, parameters)
-    m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
-    m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start, math.nan, 0.0
-    m["cycle"] = m["cycle_end_ns"] = m["cycle_groove"] = 0
-    memory.sums[:] = 0.0
-    if driver.gait is not None:
-        m["cycle"] = math.floor(late / NANOSECONDS * driver.gait.frequency + 1e-9) + 1
-        m["cycle_end_ns"] = driver.onset_ns + round(m["cycle"] * driver.gait.period * NANOSECONDS)
-    if late > LATE_NS:
-        text += f"; its onset was {late / NANOSECONDS:.2f} s ago, so the twin joins at the present phase of the command"
-        m["origin_known"] = m["origin_known"] and not m["cycle"] > 1
+    text, standing = _stand(memory, driver, parameters, settings, starts.get(driver.onset_ns))
+    start = max(driver.onset_ns, int(memory.record[0]["processed_ns"]))
+    late = (start - driver.onset_ns) / NANOSECONDS
+    gait, anchor_known = driver.gait, standing.anchor_known
+    command = 0.0 if gait is None else float(gait.command(0.0))
+    length_change = standing.length_change
+    if late > 0.0 and gait is not None:
+        command, length_change = _joined(gait, late, parameters)
+    if late > LATE_S:
+        text += f"; its onset was {late:.2f} s ago, so the twin joins at the present phase of the command"
+        anchor_known = anchor_known and (gait is None or late * gait.frequency + 1e-9 < 1.0)
+    beginning = replace(
+        standing,
+        start_ns=start,
+        command=command,
+        length_change=length_change,
+        anchor_known=anchor_known,
+        start_known=standing.start_known and (late <= 0.0 or anchor_known),
+    )
+    record_changes.begin_run(memory, driver, beginning)
     return start, text
 
 
@@ -169,8 +121,8 @@ def _stand(
     parameters: Parameters,
     settings: TwinSettings,
     start: Start | None,
-) -> tuple[str, float]:
-    """Set L0, pose and origin from the samples at rest before a run; return a message and ΔL (m) at the onset."""
+) -> tuple[str, Beginning]:
+    """Return a message, and L0, pose and origin of a run at its onset, from the samples at rest before it."""
     m = memory.record[0]
     rest = _at_rest(memory, driver.onset_ns, settings)
     pulled = 0.0 if driver.gait is None else resting_change(driver.gait, parameters)
@@ -216,12 +168,18 @@ def _stand(
         free = _unstressed(parameters.replace(initial_length=initial_length), direction, pulled)
         stands, known = start or free, start is not None
         place = Place(stands.x1, stands.front_groove, anchor - stands.x1)
-    m["start_known"] = known
-    m["initial_length"], m["length_seen"], m["length_fitted"] = initial_length, tracked, fitted
-    m["direction"], m["origin"] = direction, place.anchor
-    m["origin_known"] = m["origin_known"] or math.isfinite(position)
-    m["pose_x1"], m["pose_front"] = place.x1, place.front_groove
-    return text, tightened
+    return text, Beginning(
+        start_ns=driver.onset_ns,
+        direction=direction,
+        command=0.0,
+        length_change=tightened,
+        initial_length=initial_length,
+        length_seen=tracked,
+        length_fitted=fitted,
+        place=place,
+        anchor_known=bool(m["origin_known"]) or math.isfinite(position),
+        start_known=known,
+    )
 
 
 def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:

@@ -24,11 +24,11 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
+from worm_model.twin import record_changes
 from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP, NEAR_EDGE
 from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
     NANOSECONDS,
-    POSITION,
     VERDICTS,
     Memory,
     OutputRows,
@@ -38,7 +38,7 @@ from worm_model.twin.core.memory import (
     new_rows,
 )
 from worm_model.twin.data.records import Event, Health, Severity, residual_message
-from worm_model.twin.data.samples import SampleRows
+from worm_model.twin.data.samples import DriverState, SampleRows
 from worm_model.twin.diagnosis import (
     CycleSeen,
     History,
@@ -50,8 +50,8 @@ from worm_model.twin.diagnosis import (
 from worm_model.twin.edges import Edge, edge_of
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
 from worm_model.twin.run_margins import MarginRecord, RunPositions
-from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run
-from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
+from worm_model.twin.run_start import begin_run, is_new_run
+from worm_model.twin.start_estimate import Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 from worm_msgs.gait import Gait
 
@@ -262,16 +262,12 @@ class _Call:
         """Handle the boundary at which the core has returned."""
         m = self.state.record
         if boundary == estimator.DRIVER_STATE:
-            driver = driver_state_of(self.state.memory.rows[int(m["place"])])
-            m["place"] += 1
-            self._apply(driver)
+            self._apply(record_changes.next_driver_state(self.state.memory))
         elif boundary == estimator.CYCLE_END:
             self._close_cycle(int(m["cycle_end_ns"]))
         elif boundary == estimator.UNANNOUNCED_RUN:
             stamp = int(m["processed_ns"])
-            m["activity"] = Activity.INACTIVE
             self._begin(DriverState(stamp, Activity.RUNNING, None, stamp))
-            m["activity"] = -1
 
     def _report_events(self) -> None:
         """Report the events of the core since the last boundary."""
@@ -305,10 +301,9 @@ class _Call:
 
     def _apply(self, driver: DriverState) -> None:
         m = self.state.record
-        if driver.activity == Activity.RESTING != m["activity"]:
-            m["rest_ns"] = driver.stamp_ns
-        m["activity"] = driver.activity
-        if is_new_run(m, driver):
+        is_new = is_new_run(m, driver)
+        record_changes.hear(m, driver)
+        if is_new:
             self._end(int(m["processed_ns"]))
             self._begin(driver)
         elif self.state.is_running and driver.activity in PLAYING and driver.run:
@@ -317,8 +312,6 @@ class _Call:
                 self._reject(driver, CLOCK_SET.format(f" by {set_by:+.1f} s"))
         elif self.state.is_running and driver.activity not in PLAYING:
             self._end(driver.stamp_ns)
-        if driver.activity in PLAYING:
-            m["reported_cycle"] = driver.cycle
 
     def _begin(self, driver: DriverState) -> None:
         state, twin = self.state, self.twin
@@ -329,15 +322,10 @@ class _Call:
         state.margins = MarginRecord()
         late = start > driver.onset_ns and not m["origin_known"]
         state.joined_cycle = int(m["cycle"]) if late else 0
-        if late:
-            m["start_known"] = 0
         self.events.append(Event(driver.stamp_ns, Severity.INFO, text, run=driver.run))
         if self._unusable or (late and state.clock_set):
             self._reject(driver, self._unusable or CLOCK_SET.format(""))
         state.clock_set = state.clock_set and driver.gait is None
-        # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
-        m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
-        m["edge_slack"] = 0.0
         if state.gait is not None:
             self._report_edge(start, edge_of(state.gait, twin.effective_parameters(state)))
         rules, c, a, p = self.model()
@@ -347,15 +335,14 @@ class _Call:
         """Report an edge once per run. From then on, a whole groove does not affect the health."""
         m = self.state.record
         if edge.is_near and not m["edge_slack"]:
-            m["edge_slack"] = self.twin.parameters.pitch
+            record_changes.excuse_groove(m, self.twin.parameters.pitch)
             self.events.append(
                 Event(stamp, Severity.INFO, edge.text, NEAR_EDGE.code, run=int(m["run"]))
             )
 
     def _reject(self, driver: DriverState, reason: str) -> None:
         """Mark a run as not to be judged, and report the reason."""
-        m = self.state.record
-        m["start_known"] = 0
+        record_changes.trust_start(self.state.record, known=False)
         self.state.unusable[driver.run or driver.onset_ns] = reason
         text = f"this gait is not judged: {reason}"
         self.events.append(
@@ -367,11 +354,7 @@ class _Call:
         m = self.state.record
         if m["cycle_end_ns"] and stamp + END_NS >= m["cycle_end_ns"]:
             self._close_cycle(stamp)
-        m["cycle_end_ns"] = 0
-        if self.state.is_running:
-            m["end_ns"] = stamp
-            if self._unusable:
-                m["start_ns"] = 0  # then the position of the robot after the run is unknown, too
+        record_changes.end_run(m, stamp, is_usable=not self._unusable)
 
     # --- cycles ---------------------------------------------------------------------------------
 
@@ -402,10 +385,7 @@ class _Call:
             self.complete_states()
             state.margins = state.positions.margins(gait, parameters, int(m["start_ns"]), number)
         self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
-        state.memory.sums[:] = 0.0
-        m["blind_s"] = 0.0
-        m["cycle"], m["cycle_groove"] = number + 1, m["rear_groove"]
-        m["cycle_end_ns"] = m["start_ns"] + round((number + 1) * gait.period * NANOSECONDS)
+        record_changes.close_cycle(state.memory, gait)
 
     def _judge(self, cycle: CycleSeen) -> tuple[list[Finding], str]:
         """Return the findings of a cycle that has ended, and the reason why the cycle is not judged, empty if it is."""
@@ -415,7 +395,8 @@ class _Call:
         if not (m["start_known"] or cycle.joined or unplaced or cycle.blind_s):
             return self._judge_first(cycle, history, findings)
         state.history = history
-        m["start_known"] = m["start_known"] or not (cycle.joined or cycle.blind_s)
+        if not (cycle.joined or cycle.blind_s):
+            record_changes.trust_start(m, known=True)
         if cycle.joined:
             return findings, "it began before the first sample"
         if cycle.blind_s:
@@ -435,7 +416,7 @@ class _Call:
         estimates the start. If no start explains the cycle, the cycle is not judged.
         """
         state, m = self.state, self.state.record
-        m["start_known"] = 1
+        record_changes.trust_start(m, known=True)
         off, reason = off_at_end(cycle), "the state of the fins at its beginning is unknown"
         if explains(history, cycle) and not any(finding.code.code for finding in findings):
             state.history = history
@@ -445,7 +426,7 @@ class _Call:
         found = estimate_start(state.memory, cycle.parameters, int(m["motion_ns"]))
         if found is not None:
             state.starts[int(m["start_ns"])] = found.start
-            self._move_to(found)
+            record_changes.continue_from(m, found)
             offset = {"offset_mm": 1e3 * found.start.x1}
             return [Finding(INFORMATION, Sentence.BENT_FINS, cycle.number, offset)], ""
         facts = {"reason": reason}
@@ -461,24 +442,10 @@ class _Call:
         )
         return [reset], reason
 
-    def _move_to(self, found: EstimatedStart) -> None:
-        """Replace the motion by the one from an estimated start."""
-        m, motion, start = self.state.record, found.motion, found.start
-        m["origin"] += m["pose_x1"] - start.x1
-        m["pose_x1"], m["pose_front"], m["moved"] = start.x1, start.front_groove, 0
-        m["y"], m["y_rate"] = motion.y, motion.y_rate
-        for name in ("rear_groove", "front_groove", "rear_region", "front_region"):
-            m[name] = getattr(motion, name)
-
     def _follow(self, finding: Finding, stamp: int, gait: Gait) -> None:
         """Report a finding, and correct the twin accordingly."""
         m = self.state.record
-        m["moved"] += finding.grooves
-        m["origin"] += finding.shift
-        if finding.explains_position:
-            m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
-        if np.isfinite(finding.initial_length):
-            m["initial_length"], m["length_fitted"] = finding.initial_length, 1
+        record_changes.shift_origin(m, finding)
         if finding.silent:
             return
         code, text = finding.code.code, finding.text
@@ -493,8 +460,7 @@ class _Call:
                 **dict(list(self.state.warnings.items())[-7:]),
                 number: text,
             }
-            m["warning"] = number
-            m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
+            record_changes.warn(m, number, gait)
 
     # --- the clock ------------------------------------------------------------------------------
 
@@ -506,14 +472,13 @@ class _Call:
         """
         state = self.state
         held = state.memory.held[: int(state.record["ahead"])].copy()
-        counts = state.record["counts"].copy()
         stamp = int(held[0]["stamp"])
         text = f"the clock jumped {way}: the twin restarts"
         self.events.append(Event(stamp, Severity.WARNING, text, CLOCK_JUMP.code))
         fresh = self.twin.start()
         state.clock_set = state.is_running
+        record_changes.keep_counts(fresh.record, state.record)
         state.memory, state.history, state.joined_cycle = fresh.memory, History(), 0
-        fresh.record["counts"] = counts
         rules = self.model()[0]
         for k in range(len(held)):
             sample_buffer.insert(state.memory, held[k : k + 1], rules)

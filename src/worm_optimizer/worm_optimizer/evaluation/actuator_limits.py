@@ -16,7 +16,7 @@ from worm_optimizer.evaluation.command_shape import (
     SINUSOID,
     Shapes,
     fields_of,
-    peak_rate,
+    peak_rates,
     pull_rate,
     sample_phases,
 )
@@ -174,7 +174,7 @@ def describe_limit(
     gaits, the text names all limits. ``stroke`` in m and ``frequency`` in Hz have shape (n,), n ≥ 1.
     """
     peak = peaks(stroke, frequency, direction, parameters, limits, shape)
-    speed = peak_rate(shape) * stroke * frequency
+    speed = peak_rates(shape) * stroke * frequency
     least = {name: float(np.nanmin(each)) for name, each in limits.ratios(speed, peak).items()}
     name, ratio = max(least.items(), key=lambda item: item[1])
     if ratio > 1.0:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_msgs.gait import GAIT_DEFAULTS, SHAPE, Gait, Profile
+from worm_msgs.gait import GAIT_DEFAULTS, SHAPE, Gait, Profile, peak_rate
 
 Array = NDArray[np.float64]
 Shapes = NDArray[np.void]  # structured array with the fields of SHAPE_ROW
@@ -42,11 +42,10 @@ def shapes_of_gaits(gaits: Iterable[Gait]) -> Shapes:
     return shapes_of(len(chosen), **{name: [getattr(g, name) for g in chosen] for name in names})
 
 
-def peak_rate(shape: Shapes) -> Array:
+def peak_rates(shape: Shapes) -> Array:
     """Return the largest commanded cable speed of shapes, divided by stroke times frequency."""
-    faster = np.minimum(shape["contraction_share"], 1.0 - shape["contraction_share"])
-    steady = 1.0 / (1.0 - shape["ramp_share"])
-    return np.where(shape["profile"] == Profile.COSINE, 0.5 * np.pi, steady) / faster
+    rates = peak_rate(shape["profile"], shape["contraction_share"], shape["ramp_share"])
+    return np.asarray(rates)
 
 
 def pull_rate(shape: Shapes, phases: Array) -> Array:

@@ -20,7 +20,7 @@ from worm_model.gait import AVERAGED, FREQUENCY_RANGE, STROKE_RANGE
 from worm_model.parameters import PAPER, Parameters
 from worm_msgs.gait import FORWARD, MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE, REVERSE
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, Peaks, peaks
-from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rate
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rates
 from worm_optimizer.evaluation.runs import Array, Index, find_runs
 
 if TYPE_CHECKING:  # Numba loads slowly
@@ -285,5 +285,5 @@ class MarginTask:
         peak = Peaks.none(stroke.size)
         if self.limits.need_simulation:
             peak = peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)
-        excess = self.limits.excess(peak_rate(shape) * stroke * frequency, peak)
+        excess = self.limits.excess(peak_rates(shape) * stroke * frequency, peak)
         return np.nan_to_num(excess, nan=1.0)

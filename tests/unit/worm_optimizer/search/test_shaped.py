@@ -13,7 +13,7 @@ from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import cost_of_transport, evaluate_gait, simulate
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.evaluation.command_shape import SHAPE_ROW, SINUSOID, peak_rate, shapes_of
+from worm_optimizer.evaluation.command_shape import SHAPE_ROW, SINUSOID, peak_rates, shapes_of
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
 from worm_optimizer.search.exact import ExactFront, Zoom, exact_front
@@ -127,7 +127,7 @@ def test_limits_hold_for_every_gait_of_the_front():
     front = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
     peak = peaks(front.stroke, front.frequency, 1, PAPER, limits, front.shape)
     assert len(front) > 3
-    assert np.all(peak_rate(front.shape) * front.stroke * front.frequency <= 0.05 * (1.0 + 1e-9))
+    assert np.all(peak_rates(front.shape) * front.stroke * front.frequency <= 0.05 * (1.0 + 1e-9))
     assert np.all(peak.force <= 60.0)
     assert np.all(peak.power <= 5.0)
     within = random_gaits(task, 5_000, 2)

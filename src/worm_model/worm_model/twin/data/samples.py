@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import enum
+from dataclasses import dataclass
 from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.run import Run
-from worm_msgs.gait import GAIT_UNITS
+from worm_model.run import Activity, Run
+from worm_msgs.gait import GAIT_UNITS, Gait, GaitError, gait_of
 
 SampleRows = NDArray[np.void]
 
@@ -85,3 +86,30 @@ def topic_rows(run: Run) -> dict[SampleKind, SampleRows]:
         ),
         SampleKind.POWER: sample_rows(SampleKind.POWER, power.stamp, power.valid_power),
     }
+
+
+@dataclass(frozen=True)
+class DriverState:
+    """State of the driver, valid from ``stamp_ns`` on.
+
+    ``onset_ns``, ``run`` and ``cycle`` are 0 if unknown; ``gait`` is None without an admissible gait.
+    """
+
+    stamp_ns: int
+    activity: Activity
+    gait: Gait | None = None
+    onset_ns: int = 0
+    run: int = 0
+    cycle: int = 0
+
+
+def driver_state_of(row: Any) -> DriverState:
+    """Return the driver state of a sample of kind GAIT; an inadmissible gait is replaced by None."""
+    gait: Gait | None
+    try:
+        gait = gait_of({name: row[value] for name, value in GAIT_VALUES.items()})
+    except GaitError:
+        gait = None
+    activity = Activity(int(row["state"]))
+    identity = int(row["onset"]), int(row["run"]), int(row["cycle"])
+    return DriverState(int(row["sent"]), activity, gait, *identity)
