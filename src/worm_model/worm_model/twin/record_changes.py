@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of the core's record between two calls of the core; all other modules of this folder only read it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from worm_model.run import PLAYING, Activity
+from worm_model.twin.core.memory import NANOSECONDS, POSITION, Memory
+from worm_model.twin.data.samples import DriverState, driver_state_of
+from worm_model.twin.findings import Finding
+from worm_model.twin.start_estimate import EstimatedStart
+from worm_msgs.gait import WAVEFORM, Gait
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place of a robot at rest.
+
+    Attributes:
+        x1: position of the rear module relative to its anchor, m.
+        front_groove: front anchor in grooves from the rear one.
+        anchor: position of the rear anchor in the tracker's frame, m.
+    """
+
+    x1: float
+    front_groove: int
+    anchor: float
+
+    def off(self, position: float, pitch: float) -> float:
+        """Return the distance (m) between a rear module at ``position`` (m) and this place, modulo the ``pitch``."""
+        off = position - (self.anchor + self.x1)
+        return abs(off - round(off / pitch) * pitch)
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What the twin knows when a run begins.
+
+    Attributes:
+        start_ns: stamp from which the twin follows the run; later than the onset if the twin joins late.
+        direction: direction for which the fins are set.
+        command: u_cmd at ``start_ns``, m.
+        length_change: ΔL at ``start_ns``, m.
+        initial_length: L0, m.
+        length_seen: True if an instrument measured L0.
+        length_fitted: True if L0 was estimated from the motion.
+        place: place of the robot.
+        anchor_known: True if the tracker has measured the position of the rear anchor.
+        start_known: True if the state of the fins is known.
+    """
+
+    start_ns: int
+    direction: int
+    command: float
+    length_change: float
+    initial_length: float
+    length_seen: bool
+    length_fitted: bool
+    place: Place
+    anchor_known: bool
+    start_known: bool
+
+
+def next_driver_state(memory: Memory) -> DriverState:
+    """Take the driver state at which the core has stopped."""
+    m: Any = memory.record[0]
+    driver = driver_state_of(memory.rows[int(m["place"])])
+    m["place"] += 1
+    return driver
+
+
+def hear(m: Any, driver: DriverState) -> None:
+    """Note what the driver does. ``m`` is the record, here and below."""
+    if driver.activity == Activity.RESTING != m["activity"]:
+        m["rest_ns"] = driver.stamp_ns
+    m["activity"] = driver.activity
+    if driver.activity in PLAYING:
+        m["reported_cycle"] = driver.cycle
+
+
+def turn_fins(m: Any) -> None:
+    """Note that the driver begins to rest and turns the fins now."""
+    m["rest_ns"] = m["processed_ns"]
+    if m["pulling"]:
+        m["released_ns"] = m["processed_ns"]
+
+
+def begin_run(memory: Memory, driver: DriverState, beginning: Beginning) -> None:
+    """Begin a run with its first driver state."""
+    m: Any = memory.record[0]
+    start, gait = beginning.start_ns, driver.gait
+    m["run"], m["start_ns"], m["end_ns"] = driver.run, driver.onset_ns, 0
+    m["has_gait"] = gait is not None
+    m["engaged"], m["command_ns"] = 1, start
+    m["command"], m["answer"] = beginning.command, beginning.length_change
+    m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
+    m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start, math.nan, 0.0
+    m["cycle"] = m["cycle_end_ns"] = m["cycle_groove"] = 0
+    memory.sums[:] = 0.0
+    if gait is not None:
+        for name in WAVEFORM:
+            m[name] = getattr(gait, name)
+        elapsed = (start - driver.onset_ns) / NANOSECONDS
+        m["cycle"] = math.floor(elapsed * gait.frequency + 1e-9) + 1
+        m["cycle_end_ns"] = driver.onset_ns + round(m["cycle"] * gait.period * NANOSECONDS)
+    m["initial_length"], m["direction"] = beginning.initial_length, beginning.direction
+    m["length_seen"], m["length_fitted"] = beginning.length_seen, beginning.length_fitted
+    place = beginning.place
+    m["pose_x1"], m["pose_front"], m["origin"] = place.x1, place.front_groove, place.anchor
+    m["origin_known"] = beginning.anchor_known
+    m["start_known"], m["edge_slack"] = beginning.start_known, 0.0
+    # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
+    _forget_position_residuals(m)
+
+
+def close_cycle(memory: Memory, gait: Gait) -> None:
+    """Begin the next cycle of a run."""
+    m: Any = memory.record[0]
+    memory.sums[:] = 0.0
+    m["blind_s"], m["cycle_groove"] = 0.0, m["rear_groove"]
+    m["cycle"] += 1
+    m["cycle_end_ns"] = m["start_ns"] + round(int(m["cycle"]) * gait.period * NANOSECONDS)
+
+
+def shift_origin(m: Any, finding: Finding) -> None:
+    """Follow a finding: move both anchors by its grooves, and the origin by its shift; take over its L0."""
+    m["moved"] += finding.grooves
+    m["origin"] += finding.shift
+    if finding.explains_position:
+        _forget_position_residuals(m)
+    if math.isfinite(finding.initial_length):
+        m["initial_length"], m["length_fitted"] = finding.initial_length, 1
+
+
+def continue_from(m: Any, found: EstimatedStart) -> None:
+    """Replace the motion by the one from an estimated start."""
+    motion, start = found.motion, found.start
+    m["origin"] += m["pose_x1"] - start.x1
+    m["pose_x1"], m["pose_front"], m["moved"] = start.x1, start.front_groove, 0
+    m["y"], m["y_rate"] = motion.y, motion.y_rate
+    for name in ("rear_groove", "front_groove", "rear_region", "front_region"):
+        m[name] = getattr(motion, name)
+
+
+def end_run(m: Any, stamp_ns: int, *, is_usable: bool) -> None:
+    """End the run if one is running. After one that cannot be judged, the position of the robot is unknown."""
+    m["cycle_end_ns"] = 0
+    if m["start_ns"] and not m["end_ns"]:
+        m["end_ns"] = stamp_ns
+        if not is_usable:
+            m["start_ns"] = 0
+
+
+def warn(m: Any, number: int, gait: Gait) -> None:
+    """Let a warning affect the health until the end of the next cycle."""
+    m["warning"] = number
+    m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
+
+
+def trust_start(m: Any, *, known: bool) -> None:
+    """State whether the state of the fins at the onset is known."""
+    m["start_known"] = known
+
+
+def excuse_groove(m: Any, pitch: float) -> None:
+    """Ignore position residuals up to a groove for the health, because the gait is near an edge."""
+    m["edge_slack"] = pitch
+
+
+def _forget_position_residuals(m: Any) -> None:
+    m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
+
+
+def keep_counts(m: Any, before: Any) -> None:
+    """Take over the number of samples by fate from the record before a restart."""
+    m["counts"] = before["counts"]
