@@ -8,10 +8,33 @@ from hypothesis import strategies as st
 from random_cases import examples
 
 from worm_model.gait import Gait
-from worm_model.parameters import PAPER
+from worm_model.parameters import KEYS, PAPER, POWER_ONLY
 from worm_model.simulation import actuation
 from worm_model.simulation.batch import evaluate_gaits
-from worm_model.simulation.closed_form import cliff_margin, groove_phase, grooves_per_cycle
+from worm_model.simulation.closed_form import (
+    cliff_margin,
+    groove_phase,
+    grooves_per_cycle,
+    largest_load,
+)
+
+# The slow limit has no inertia and no viscous friction, and neglects dry friction.
+FAST_ONLY = {
+    *("rear_mass", "front_mass", "viscous_friction"),
+    *("rear_dry_friction", "front_dry_friction"),
+}
+
+
+def test_each_parameter_affects_the_closed_forms_or_is_known_not_to() -> None:
+    gait, loaded = Gait(0.07, 0.2, pretension=0.004), PAPER.replace(rear_load=0.1, front_load=0.1)
+
+    def forms(key: str, factor: float) -> tuple[float, ...]:
+        value = factor * getattr(loaded, key) if getattr(loaded, key) else factor - 1.0
+        changed = loaded.replace(**{key: value})
+        return groove_phase(changed), cliff_margin(changed), largest_load(gait, changed)
+
+    without = {key for key in KEYS if forms(key, 1.0) == forms(key, 1.001)}
+    assert without == FAST_ONLY | POWER_ONLY
 
 
 def test_step_and_ramp_of_a_sampled_command_have_their_closed_form() -> None:
