@@ -89,6 +89,7 @@ BAD = [
     (CAMPAIGN, "--output x --set slope_deg=steep", "steep"),
     (CAMPAIGN, "--output x --parameters none.yaml", "none.yaml: cannot be read"),
     (CAMPAIGN, "--output x --mode imaginary", "invalid choice"),
+    (CAMPAIGN, "--output x --identify --bellows none.csv", "--bellows none.csv"),
     (CAMPAIGN, "--output bag", "exists already"),
     (CAMPAIGN, "--resume bag", "contains no campaign"),
     (CAMPAIGN, "--resume begun --output x", "remove --output"),

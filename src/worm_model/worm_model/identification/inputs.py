@@ -178,7 +178,7 @@ def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
 def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
     """Read the two ``columns`` of a bench test. Raises `IdentificationError` if the file cannot be used."""
     table = read_columns(path, columns)
-    return BenchTest(table[columns[0]], table[columns[1]], sha256_of([path]))
+    return BenchTest(table[columns[0]], table[columns[1]], sha256_of(path))
 
 
 def _existing(path: Path) -> Path | None:

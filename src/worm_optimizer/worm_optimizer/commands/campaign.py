@@ -120,8 +120,7 @@ def _campaign(options: argparse.Namespace) -> int:
         raise InputError(f"--repeats {options.repeats}: give 1 or more")
     if options.identify and options.identification:
         raise InputError("--identify creates the identification: remove --identification")
-    if not options.identify:
-        identification_of(options)  # raises the errors of its files before a node starts
+    identification_of(options)  # raises the errors of its files before a node starts
     robot = robot_of(options, options.mode)
     folder = _folder(options)
     say = ProgressLog("campaign")
