@@ -373,12 +373,12 @@ class SensorCheck:
     def _sign(self) -> str:
         if reversed_current := ina219.reversed_current(self._valid):
             raise ConfigurationError(reversed_current)
-        return f"{statistics.fmean(s.current for s in self._valid):.3f} A at rest"
+        return f"{statistics.fmean(s.current for s in self._valid):.3f} A"
 
     def _noise(self) -> str:
         power = [sample.power for sample in self._valid]
         spread = statistics.pstdev(power)
-        text = f"{statistics.fmean(power):.2f} W at rest, standard deviation {spread:.3f} W"
+        text = f"{statistics.fmean(power):.2f} W, standard deviation {spread:.3f} W"
         if spread > _NOISY:
             raise AdviceError(
                 f"{text}: check the supply and the wires of the sensor; is a servo moving?"
