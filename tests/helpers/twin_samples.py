@@ -9,10 +9,8 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.run import (
-    Activity,
     GaitStates,
     LengthSamples,
     MemorySamples,
@@ -21,7 +19,7 @@ from worm_model.run import (
     TrackerSamples,
 )
 from worm_model.twin.data.records import Event, residual_message
-from worm_model.twin.data.samples import GAIT_VALUES, SAMPLE, VALUES, SampleKind
+from worm_model.twin.data.samples import GAIT_VALUES, SAMPLE, VALUES, DriverState, SampleKind
 from worm_model.twin.twin import Twin, TwinState
 
 ONSET = 1_700_000_000_000_000_000  # stamp of the onset of a test's first run, ns
@@ -69,15 +67,7 @@ class PowerSample:
         return _row(self.stamp_ns, SampleKind.POWER, self.power)
 
 
-@dataclass(frozen=True)
-class GaitSample:
-    stamp_ns: int
-    activity: Activity
-    gait: Gait | None = None
-    onset_ns: int = 0
-    run: int = 0
-    cycle: int = 0
-
+class GaitSample(DriverState):
     def row(self) -> tuple:
         none = (0.0,) * len(VALUES)
         gait = none if self.gait is None else astuple(self.gait)

@@ -36,14 +36,12 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Beginning:
-    """What the twin knows when a run begins.
+class Standing:
+    """Robot at the beginning of a run.
 
     Attributes:
-        start_ns: stamp from which the twin follows the run; later than the onset if the twin joins late.
         direction: direction for which the fins are set.
-        command: u_cmd at ``start_ns``, m.
-        length_change: ΔL at ``start_ns``, m.
+        length_change: ΔL, m.
         initial_length: L0, m.
         length_seen: True if an instrument measured L0.
         length_fitted: True if L0 was estimated from the motion.
@@ -52,9 +50,7 @@ class Beginning:
         start_known: True if the state of the fins is known.
     """
 
-    start_ns: int
     direction: int
-    command: float
     length_change: float
     initial_length: float
     length_seen: bool
@@ -72,8 +68,8 @@ def next_driver_state(memory: Memory) -> DriverState:
     return driver
 
 
-def hear(m: Any, driver: DriverState) -> None:
-    """Note what the driver does. ``m`` is the record, here and below."""
+def store_driver_state(m: Any, driver: DriverState) -> None:
+    """Store the activity of the driver. ``m`` is the record, here and below."""
     if driver.activity == Activity.RESTING != m["activity"]:
         m["rest_ns"] = driver.stamp_ns
     m["activity"] = driver.activity
@@ -82,36 +78,44 @@ def hear(m: Any, driver: DriverState) -> None:
 
 
 def turn_fins(m: Any) -> None:
-    """Note that the driver begins to rest and turns the fins now."""
+    """Let the driver begin to rest and turn the fins now."""
     m["rest_ns"] = m["processed_ns"]
     if m["pulling"]:
         m["released_ns"] = m["processed_ns"]
 
 
-def begin_run(memory: Memory, driver: DriverState, beginning: Beginning) -> None:
-    """Begin a run with its first driver state."""
+def begin_run(
+    memory: Memory,
+    driver: DriverState,
+    standing: Standing,
+    start_ns: int,
+    command: float,
+    cycle: int,
+) -> None:
+    """Begin a run with its first driver state.
+
+    The twin follows the run from ``start_ns`` on, later than the onset if it joins late. ``command`` is u_cmd (m) and
+    ``cycle`` the number of the cycle at this time; without a gait, ``cycle`` is 0.
+    """
     m: Any = memory.record[0]
-    start, gait = beginning.start_ns, driver.gait
+    gait, place = driver.gait, standing.place
     m["run"], m["start_ns"], m["end_ns"] = driver.run, driver.onset_ns, 0
     m["has_gait"] = gait is not None
-    m["engaged"], m["command_ns"] = 1, start
-    m["command"], m["answer"] = beginning.command, beginning.length_change
+    m["engaged"], m["command_ns"] = 1, start_ns
+    m["command"], m["answer"] = command, standing.length_change
     m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
-    m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start, math.nan, 0.0
-    m["cycle"] = m["cycle_end_ns"] = m["cycle_groove"] = 0
+    m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start_ns, math.nan, 0.0
+    m["cycle"], m["cycle_end_ns"], m["cycle_groove"] = cycle, 0, 0
     memory.sums[:] = 0.0
     if gait is not None:
         for name in WAVEFORM:
             m[name] = getattr(gait, name)
-        elapsed = (start - driver.onset_ns) / NANOSECONDS
-        m["cycle"] = math.floor(elapsed * gait.frequency + 1e-9) + 1
-        m["cycle_end_ns"] = driver.onset_ns + round(m["cycle"] * gait.period * NANOSECONDS)
-    m["initial_length"], m["direction"] = beginning.initial_length, beginning.direction
-    m["length_seen"], m["length_fitted"] = beginning.length_seen, beginning.length_fitted
-    place = beginning.place
+        m["cycle_end_ns"] = _end_of_cycle(m, gait)
+    m["initial_length"], m["direction"] = standing.initial_length, standing.direction
+    m["length_seen"], m["length_fitted"] = standing.length_seen, standing.length_fitted
     m["pose_x1"], m["pose_front"], m["origin"] = place.x1, place.front_groove, place.anchor
-    m["origin_known"] = beginning.anchor_known
-    m["start_known"], m["edge_slack"] = beginning.start_known, 0.0
+    m["origin_known"], m["start_known"] = standing.anchor_known, standing.start_known
+    m["edge_slack"] = 0.0
     # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
     _forget_position_residuals(m)
 
@@ -122,7 +126,7 @@ def close_cycle(memory: Memory, gait: Gait) -> None:
     memory.sums[:] = 0.0
     m["blind_s"], m["cycle_groove"] = 0.0, m["rear_groove"]
     m["cycle"] += 1
-    m["cycle_end_ns"] = m["start_ns"] + round(int(m["cycle"]) * gait.period * NANOSECONDS)
+    m["cycle_end_ns"] = _end_of_cycle(m, gait)
 
 
 def shift_origin(m: Any, finding: Finding) -> None:
@@ -146,12 +150,10 @@ def continue_from(m: Any, found: EstimatedStart) -> None:
 
 
 def end_run(m: Any, stamp_ns: int, *, is_usable: bool) -> None:
-    """End the run if one is running. After one that cannot be judged, the position of the robot is unknown."""
-    m["cycle_end_ns"] = 0
-    if m["start_ns"] and not m["end_ns"]:
-        m["end_ns"] = stamp_ns
-        if not is_usable:
-            m["start_ns"] = 0
+    """End the running run. After one that cannot be judged, the position of the robot is unknown."""
+    m["cycle_end_ns"], m["end_ns"] = 0, stamp_ns
+    if not is_usable:
+        m["start_ns"] = 0
 
 
 def warn(m: Any, number: int, gait: Gait) -> None:
@@ -160,7 +162,7 @@ def warn(m: Any, number: int, gait: Gait) -> None:
     m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
 
 
-def trust_start(m: Any, *, known: bool) -> None:
+def set_start_known(m: Any, *, known: bool) -> None:
     """State whether the state of the fins at the onset is known."""
     m["start_known"] = known
 
@@ -170,10 +172,14 @@ def excuse_groove(m: Any, pitch: float) -> None:
     m["edge_slack"] = pitch
 
 
-def _forget_position_residuals(m: Any) -> None:
-    m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
-
-
 def keep_counts(m: Any, before: Any) -> None:
     """Take over the number of samples by fate from the record before a restart."""
     m["counts"] = before["counts"]
+
+
+def _end_of_cycle(m: Any, gait: Gait) -> int:
+    return int(m["start_ns"]) + round(int(m["cycle"]) * gait.period * NANOSECONDS)
+
+
+def _forget_position_residuals(m: Any) -> None:
+    m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0

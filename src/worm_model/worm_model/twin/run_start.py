@@ -35,7 +35,7 @@ from worm_model.simulation.simulator import Locomotion, LocomotionState, Simulat
 from worm_model.twin import record_changes
 from worm_model.twin.core.memory import NANOSECONDS, Memory
 from worm_model.twin.data.samples import DriverState, SampleKind
-from worm_model.twin.record_changes import Beginning, Place
+from worm_model.twin.record_changes import Place, Standing
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.gait import FORWARD, Gait
@@ -93,25 +93,25 @@ def begin_run(
         Stamp (ns) from which the twin follows the run, and a message.
     """
     text, standing = _stand(memory, driver, parameters, settings, starts.get(driver.onset_ns))
-    start = max(driver.onset_ns, int(memory.record[0]["processed_ns"]))
+    start, gait = max(driver.onset_ns, int(memory.record[0]["processed_ns"])), driver.gait
     late = (start - driver.onset_ns) / NANOSECONDS
-    gait, anchor_known = driver.gait, standing.anchor_known
-    command = 0.0 if gait is None else float(gait.command(0.0))
-    length_change = standing.length_change
-    if late > 0.0 and gait is not None:
-        command, length_change = _joined(gait, late, parameters)
+    command, length_change, cycle = 0.0, standing.length_change, 0
+    if gait is not None:
+        command = float(gait.command(0.0))
+        cycle = math.floor(late * gait.frequency + 1e-9) + 1
+        if late > 0.0:
+            command, length_change = _joined(gait, late, parameters)
+    anchor_known = standing.anchor_known
     if late > LATE_S:
         text += f"; its onset was {late:.2f} s ago, so the twin joins at the present phase of the command"
-        anchor_known = anchor_known and (gait is None or late * gait.frequency + 1e-9 < 1.0)
-    beginning = replace(
+        anchor_known = anchor_known and cycle <= 1
+    standing = replace(
         standing,
-        start_ns=start,
-        command=command,
         length_change=length_change,
         anchor_known=anchor_known,
         start_known=standing.start_known and (late <= 0.0 or anchor_known),
     )
-    record_changes.begin_run(memory, driver, beginning)
+    record_changes.begin_run(memory, driver, standing, start, command, cycle)
     return start, text
 
 
@@ -121,7 +121,7 @@ def _stand(
     parameters: Parameters,
     settings: TwinSettings,
     start: Start | None,
-) -> tuple[str, Beginning]:
+) -> tuple[str, Standing]:
     """Return a message, and L0, pose and origin of a run at its onset, from the samples at rest before it."""
     m = memory.record[0]
     rest = _at_rest(memory, driver.onset_ns, settings)
@@ -168,10 +168,8 @@ def _stand(
         free = _unstressed(parameters.replace(initial_length=initial_length), direction, pulled)
         stands, known = start or free, start is not None
         place = Place(stands.x1, stands.front_groove, anchor - stands.x1)
-    return text, Beginning(
-        start_ns=driver.onset_ns,
+    return text, Standing(
         direction=direction,
-        command=0.0,
         length_change=tightened,
         initial_length=initial_length,
         length_seen=tracked,

@@ -302,7 +302,7 @@ class _Call:
     def _apply(self, driver: DriverState) -> None:
         m = self.state.record
         is_new = is_new_run(m, driver)
-        record_changes.hear(m, driver)
+        record_changes.store_driver_state(m, driver)
         if is_new:
             self._end(int(m["processed_ns"]))
             self._begin(driver)
@@ -342,7 +342,7 @@ class _Call:
 
     def _reject(self, driver: DriverState, reason: str) -> None:
         """Mark a run as not to be judged, and report the reason."""
-        record_changes.trust_start(self.state.record, known=False)
+        record_changes.set_start_known(self.state.record, known=False)
         self.state.unusable[driver.run or driver.onset_ns] = reason
         text = f"this gait is not judged: {reason}"
         self.events.append(
@@ -354,7 +354,8 @@ class _Call:
         m = self.state.record
         if m["cycle_end_ns"] and stamp + END_NS >= m["cycle_end_ns"]:
             self._close_cycle(stamp)
-        record_changes.end_run(m, stamp, is_usable=not self._unusable)
+        if self.state.is_running:
+            record_changes.end_run(m, stamp, is_usable=not self._unusable)
 
     # --- cycles ---------------------------------------------------------------------------------
 
@@ -396,7 +397,7 @@ class _Call:
             return self._judge_first(cycle, history, findings)
         state.history = history
         if not (cycle.joined or cycle.blind_s):
-            record_changes.trust_start(m, known=True)
+            record_changes.set_start_known(m, known=True)
         if cycle.joined:
             return findings, "it began before the first sample"
         if cycle.blind_s:
@@ -416,7 +417,7 @@ class _Call:
         estimates the start. If no start explains the cycle, the cycle is not judged.
         """
         state, m = self.state, self.state.record
-        record_changes.trust_start(m, known=True)
+        record_changes.set_start_known(m, known=True)
         off, reason = off_at_end(cycle), "the state of the fins at its beginning is unknown"
         if explains(history, cycle) and not any(finding.code.code for finding in findings):
             state.history = history

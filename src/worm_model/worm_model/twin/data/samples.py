@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+from contextlib import suppress
 from dataclasses import dataclass
 from string import ascii_lowercase
 from typing import Any
@@ -105,11 +106,9 @@ class DriverState:
 
 def driver_state_of(row: Any) -> DriverState:
     """Return the driver state of a sample of kind GAIT; an inadmissible gait is replaced by None."""
-    gait: Gait | None
-    try:
+    gait: Gait | None = None
+    with suppress(GaitError):
         gait = gait_of({name: row[value] for name, value in GAIT_VALUES.items()})
-    except GaitError:
-        gait = None
     activity = Activity(int(row["state"]))
     identity = int(row["onset"]), int(row["run"]), int(row["cycle"])
     return DriverState(int(row["sent"]), activity, gait, *identity)
