@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 from worm_driver.commands.driver_command import new_file, run_command
-from worm_driver.control.supervision import own_limit
+from worm_driver.control.actuators import own_limit
 from worm_driver.driver_errors import (
     ConfigurationError,
     CorruptReplyError,

@@ -3,9 +3,9 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from worm_driver.control.driver_settings import DriverSettings
-from worm_driver.control.supervision import CableLength, fault_level, own_limit
 from worm_driver.driver_errors import ConfigurationError, HomingError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.goal_gate import Bound, GoalGate
@@ -15,7 +15,11 @@ from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.state_reader import SILENT, ServoState
 from worm_driver.servos.transmission import Spool
+from worm_msgs.driver_file import DriverFile
 
+#: Ratio of the limit that a servo enforces itself to the effort above which it is overloaded (`fault_level`). The ratio
+#: is above 1, because a servo never exceeds its own limit: with a ratio of 1, no overload could be detected.
+_HEADROOM = 1.1
 #: Largest distance of a fin from its goal at which the fin counts as set, ticks.
 _FIN_TOLERANCE = 40
 #: Speed below which a fin counts as still, rad/s.
@@ -31,6 +35,28 @@ _FOLLOWS = 160
 _YIELD = 100
 #: Distance by which the cable may be beyond either end of the stroke range in an activation or a hold, m.
 PAYOUT_TOLERANCE = 0.01
+
+
+class CableLength(NamedTuple):
+    """Length changes of the cable of one servo, m: measured (NaN if unknown) and commanded."""
+
+    measured: float
+    commanded: float
+
+
+def own_limit(servo: Servo, limits: DriverFile) -> float:
+    """Return the largest effort that a cable servo itself permits, A; a load ratio if the servo measures no current."""
+    if servo.model.measures_current:
+        return min(_HEADROOM * limits.max_servo_current, servo.model.strongest_current)
+    return min(_HEADROOM * limits.max_servo_load, 1.0)
+
+
+def fault_level(servo: Servo, limits: DriverFile) -> float:
+    """Return the effort above which a cable servo is overloaded, in the unit of `own_limit`.
+
+    It is max_servo_current or max_servo_load, or less if the servo cannot exceed this limit by the factor _HEADROOM.
+    """
+    return own_limit(servo, limits) / _HEADROOM
 
 
 def require_registers(bus: ServoBus, servo: Servo, settings: DriverSettings) -> None:

@@ -17,7 +17,6 @@ from worm_driver.clock import Clock
 from worm_driver.control import actuators, diagnostics
 from worm_driver.control.diagnostics import Level
 from worm_driver.control.driver_settings import DriverSettings
-from worm_driver.control.supervision import own_limit
 from worm_driver.driver_errors import (
     BusError,
     ConfigurationError,
@@ -262,7 +261,7 @@ class ServoCheck:
 
     def _left_over(self, servo: Servo) -> None:
         weak = servo.number in self._settings.cable_ids and not servo.model.measures_current
-        limit = own_limit(servo, self._settings) if weak else 1.0
+        limit = actuators.own_limit(servo, self._settings) if weak else 1.0
         if left := servos.left_over(self._bus, servo, limit):
             raise AdviceError(
                 f"servo {servo.number} has {left}: the driver sets these values itself"

@@ -36,7 +36,7 @@ class GoalGate:
     A goal out of bounds is withheld. The servo keeps its previous goal, which was within the bounds when it was sent.
 
     If a goal of a cable servo is too far from the last plausible position, the following error (distance of the cable
-    from its command) exceeds its limit, too. `control.supervision` reports this as a fault.
+    from its command) exceeds its limit, too. `control.fault_watch` reports this as a fault.
 
     A servo gets no goal before its first plausible position. It also gets none while its position is lost
     (`PositionTrack.lost`), because a number of ticks may then stand for another position than before.

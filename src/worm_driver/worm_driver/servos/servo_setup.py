@@ -308,7 +308,7 @@ def _mode_and_current(servo: Servo, mode: int, limit: float) -> dict[str, int]:
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Prepare a cable servo: extended position mode, and a current limit (A, see `supervision.own_limit`)."""
+    """Prepare a cable servo: extended position mode, and a current limit (A, see `actuators.own_limit`)."""
     prepare(bus, servo, _mode_and_current(servo, EXTENDED_POSITION_MODE, limit))
 
 
@@ -417,7 +417,7 @@ def reset_control(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0)
         bus: servo bus.
         servo: servo whose torque is off, or was left on by an earlier driver.
         speed: speed limit, rad/s.
-        limit: largest PWM output as a ratio of the maximum, see `supervision.own_limit`. Not used for a servo that
+        limit: largest PWM output as a ratio of the maximum, see `actuators.own_limit`. Not used for a servo that
             measures its current.
     """
     bus.write(servo.number, servo["bus_watchdog"], 0)  # an expired watchdog lets no goal be written
