@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from types import MappingProxyType
 
 import serial
@@ -22,7 +22,7 @@ from worm_driver.control.control_loop import ControlLoop
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import CycleSnapshot, Robot
 from worm_driver.driver_errors import BusError
-from worm_driver.gait.gait_player import Phase
+from worm_driver.gait.gait_player import Phase, PlayerSettings
 from worm_driver.power import socket_smbus as frames
 from worm_driver.power.i2c import I2CDevice
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
@@ -185,9 +185,24 @@ class DirectSMBus:
         return answer
 
 
-def settings(**changes: object) -> DriverSettings:
+class QuickSettings(DriverSettings):
+    """Settings with short rests, so that whole gaits take little time."""
+
+    @cached_property
+    def player(self) -> PlayerSettings:
+        return replace(
+            super().player,
+            rest_duration=0.05,
+            settle_time=0.02,
+            rest_samples=2,
+            rest_timeout=0.2,
+            flip_timeout=1.5,
+        )
+
+
+def settings(kind: type[DriverSettings] = DriverSettings, **changes: object) -> DriverSettings:
     """Return the settings of a driver for the virtual robot of the installed file."""
-    given = DriverSettings(
+    given = kind(
         port="/dev/simulated",
         real_time_priority=0,
         home_at_start=True,

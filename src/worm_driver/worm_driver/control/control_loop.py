@@ -25,13 +25,10 @@ from worm_driver.control.real_time import (
 )
 from worm_driver.control.robot import CycleSnapshot, Robot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
-from worm_driver.driver_errors import DriverError, PowerSensorError, RejectedError
+from worm_driver.driver_errors import DriverError, RejectedError
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus
 
 T = TypeVar("T")
-
-#: Consecutive bus errors after which the power sensor's bus is opened again.
-_ERRORS_TO_REOPEN = 100
 
 
 class PeriodicThread:
@@ -340,7 +337,6 @@ class PowerLoop(PeriodicThread):
     ):
         super().__init__("power_sensor", period, clock)
         self.valid_samples = 0
-        self._errors = 0
         self._sensor = sensor
         self._on_sample = on_sample
 
@@ -352,14 +348,6 @@ class PowerLoop(PeriodicThread):
 
     def _step(self, now: float) -> bool:
         sample = self._sensor.sample(now)
-        self._revive(sample.status)
         self.valid_samples += sample.status is SampleStatus.VALID
         self._on_sample(sample)
         return True
-
-    def _revive(self, status: SampleStatus) -> None:
-        """Open the bus again after every _ERRORS_TO_REOPEN consecutive bus errors."""
-        self._errors = self._errors + 1 if status is SampleStatus.BUS_ERROR else 0
-        if self._errors and self._errors % _ERRORS_TO_REOPEN == 0:
-            with contextlib.suppress(PowerSensorError):
-                self._sensor.device.reopen()

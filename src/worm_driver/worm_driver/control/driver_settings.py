@@ -24,14 +24,12 @@ class DriverSettings(DriverFile):
 
     Attributes:
         body: parameters of the robot and its pipe.
-        player: times and speeds of the gait player.
 
     Raises:
         ConfigurationError: Parameters contradict each other.
     """
 
     body: RobotParameters = field(default_factory=RobotParameters)
-    player: PlayerSettings = field(default_factory=PlayerSettings)
 
     def __post_init__(self) -> None:
         if not self.cable_ids:
@@ -76,6 +74,17 @@ class DriverSettings(DriverFile):
     def period(self) -> float:
         """Period of the control cycle, s."""
         return 1.0 / self.rate
+
+    @cached_property
+    def player(self) -> PlayerSettings:
+        """Times and speeds of the gait player."""
+        return PlayerSettings(
+            rest_duration=self.rest_duration,
+            rest_samples=10 if self.has_sensor else 0,
+            rest_timeout=self.rest_duration + 2.0,
+            return_speed=self.return_speed,
+            longest_step=self.period,
+        )
 
 
 def load_body(path: str) -> RobotParameters:

@@ -446,11 +446,7 @@ class Robot:
             unset,
             at_rest=not self.actuators.contracted,
         )
-        settings = replace(
-            self.settings.player,
-            longest_step=self.settings.period,
-            return_speed=self.return_speed,
-        )
+        settings = replace(self.settings.player, return_speed=self.return_speed)
         self._adopt(gait_player.step(self.player, now, observation, settings))
         if self.player.phase is Phase.RESTING and before.phase is not Phase.RESTING:
             self._idle_from = samples

@@ -13,7 +13,6 @@ from rclpy.parameter import Parameter
 from worm_driver.control.driver_settings import PARAMETER_NAMES, DriverSettings, load_body
 from worm_driver.control.emergency import latch_names
 from worm_driver.driver_errors import ConfigurationError
-from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.power import i2c
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.parameter_rows import ParameterRow
@@ -102,14 +101,7 @@ def wait_for_devices(node: Node, ended: Callable[[], bool]) -> None:
 def settings(node: Node) -> DriverSettings:
     """Return the settings from the node's parameters and those of the robot in a file. Raises ConfigurationError."""
     given = {name: _value(node, alias) for name, alias in PARAMETER_NAMES.items()}
-    rest = given["rest_duration"]
-    player = PlayerSettings(
-        rest_duration=rest,
-        rest_samples=10 if DriverFile(i2c_bus=given["i2c_bus"]).has_sensor else 0,
-        return_speed=given["return_speed"],
-        rest_timeout=rest + 2.0,
-    )
-    return DriverSettings(**given, body=load_body(given["parameter_file"]), player=player)
+    return DriverSettings(**given, body=load_body(given["parameter_file"]))
 
 
 def with_limits(settings: DriverSettings, node: Node) -> DriverSettings:

@@ -45,11 +45,6 @@ class I2CDevice:
     bus_name: str
     address: int
 
-    def reopen(self) -> None:
-        """Close the bus and open it again. This is necessary after the adapter was unplugged."""
-        self.close()
-        self.bus = open_device(self.bus_name, self.address).bus
-
     def read(self, register: int) -> int:
         """Return the content of a register, unsigned. Raises PowerSensorError."""
         try:

@@ -16,13 +16,6 @@ _SYSFS = Path("/sys/bus/usb-serial/devices")
 _ANSWERS = 2
 #: Major device numbers of the slave side of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt).
 _PTY_MAJORS = range(136, 144)
-#: Major device numbers of memory devices such as /dev/null.
-_MEMORY_MAJORS = (1,)
-#: Major device numbers of consoles, serial ports, /dev/tty, /dev/console and /dev/ptmx.
-_CONSOLE_MAJORS = (4, 5)
-#: Smallest minor device number of a serial port with a major number in _CONSOLE_MAJORS. The smaller minor numbers
-#: belong to consoles and terminals.
-_SERIAL_MINORS = 64
 
 
 def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
@@ -66,29 +59,7 @@ def why_no_port(port: str) -> str:
     if not stat.S_ISCHR(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a file, not a device"
         return f"servo bus {port} is {kind}: {remedy}"
-    if os.major(status.st_rdev) in _MEMORY_MAJORS:
-        return f"servo bus {port} is no serial device: {remedy}"
-    if os.major(status.st_rdev) in _CONSOLE_MAJORS and os.minor(status.st_rdev) < _SERIAL_MINORS:
-        return f"servo bus {port} is a console of this computer: {remedy}"
-    if status.st_rdev in _own_terminals():
-        return f"servo bus {port} is the terminal of this process: {remedy}"
     return ""
-
-
-def _own_terminals() -> set[int]:
-    """Return the device numbers of this process's terminals: its standard streams and its controlling terminal."""
-    terminals = set()
-    for descriptor in (0, 1, 2):
-        with contextlib.suppress(OSError):
-            if os.isatty(descriptor):
-                terminals.add(os.fstat(descriptor).st_rdev)
-    with contextlib.suppress(OSError):
-        # Field tty_nr of proc(5), the fifth after the name; /dev/tty itself has a device number of its own.
-        fields = (
-            Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")
-        )
-        terminals.add(int(fields[2].split()[4]))
-    return terminals
 
 
 def open_exclusively(descriptor: int) -> None:

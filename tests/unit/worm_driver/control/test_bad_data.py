@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.driver_errors import DriverError
-from worm_driver.gait.gait_player import Phase, PlayerSettings
+from worm_driver.gait.gait_player import Phase
 from worm_driver.servos.state_reader import SILENT
 
 GIVEN = settings()
@@ -244,7 +244,7 @@ def test_a_wrong_sample_while_homing_does_not_move_the_home(number, jump):
 @pytest.mark.parametrize("servo", [1, 2])
 @pytest.mark.parametrize("jump", [-600, 4096])
 def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
-    rig = two_spools(player=PlayerSettings(rest_duration=0.2, settle_time=0.1))
+    rig = two_spools()
     rig.play(0.05, 0.4, cycles=3)
     rig.run(0.6)
     rig.inject("wrong_position", target=servo, value=jump, duration=1e6)

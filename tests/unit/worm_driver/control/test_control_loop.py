@@ -11,7 +11,7 @@ from waiting import TIMEOUT_S, wait_for
 
 from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop, PowerLoop
-from worm_driver.driver_errors import DriverError, PowerSensorError, RejectedError
+from worm_driver.driver_errors import DriverError, RejectedError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 
 
@@ -304,22 +304,6 @@ def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active
     assert loop.join(TIMEOUT_S)
     assert loop.report().missed == missed
     assert (loop.report().max_error < 0.001) == (missed == 0)
-
-
-def test_a_bus_that_only_fails_is_opened_again():
-    opened: list[int] = []
-
-    def reopen() -> None:
-        opened.append(1)
-        raise PowerSensorError("still gone")
-
-    sensor = Sensor()
-    sensor.device.reopen = reopen
-    sensor.sample = lambda now: PowerSample(now, SampleStatus.BUS_ERROR)
-    loop = PowerLoop(sensor, 0.0005, lambda _: None)
-    loop.start()
-    wait_for(lambda: len(opened) >= 2)
-    loop.close()
 
 
 class Sensor:

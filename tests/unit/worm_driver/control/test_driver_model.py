@@ -9,7 +9,15 @@ import math
 from dataclasses import replace
 
 import pytest
-from driver_rig import SPOOLS, Rig, robot_with_spools, settings, shaft_lengths, spool_parameters
+from driver_rig import (
+    SPOOLS,
+    QuickSettings,
+    Rig,
+    robot_with_spools,
+    settings,
+    shaft_lengths,
+    spool_parameters,
+)
 from hypothesis import HealthCheck, Phase, seed
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -25,7 +33,6 @@ from hypothesis.stateful import (
 from worm_driver.driver_errors import DriverError, StoppedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_player import Phase as GaitPhase
-from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.state_reader import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
@@ -33,13 +40,8 @@ from worm_msgs.gait import Gait, Profile
 
 LIVES, STEPS = 20, 50
 
-#: short rests, so that a sequence of 50 steps includes whole gaits
-QUICK = replace(
-    settings(),
-    player=PlayerSettings(
-        rest_duration=0.05, settle_time=0.02, rest_samples=2, rest_timeout=0.2, flip_timeout=1.5
-    ),
-)
+#: so that a sequence of 50 steps includes whole gaits
+QUICK = settings(QuickSettings)
 #: overshoot of the servo's own control of its speed
 OVERSHOOT = 1.15
 #: m, largest creep of a standing cable under its load, and s, in which the cable must have stopped

@@ -12,10 +12,18 @@ from functools import cache
 
 import numpy as np
 import pytest
-from driver_rig import CABLE, Rig, fin_parameters, installed_robot, settings, spool_parameters
+from driver_rig import (
+    CABLE,
+    QuickSettings,
+    Rig,
+    fin_parameters,
+    installed_robot,
+    settings,
+    spool_parameters,
+)
 
 from worm_driver.driver_errors import DriverError
-from worm_driver.gait.gait_player import Phase, PlayerSettings
+from worm_driver.gait.gait_player import Phase
 from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.servo.control_table import MODELS, VirtualServoModel
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -51,12 +59,10 @@ def closed(name: str) -> Rig:
         )
     )
     driver = settings(
+        QuickSettings,
         **spool_parameters([Spool(CABLE, 1, 0.01)]),
         **fin_parameters([Fin(FIN, 2.3562, 3.9270)]),
         max_servo_current=5.0,
-        player=PlayerSettings(
-            rest_duration=0.05, settle_time=0.02, rest_samples=2, rest_timeout=0.2
-        ),
     )
     rig = Rig(driver, virtual)
     rig.activate()

@@ -3,8 +3,6 @@ import array
 import errno
 import fcntl
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import pytest
@@ -74,9 +72,6 @@ def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with
 ):
     (tmp_path / "notes.txt").touch()
     found = {
-        "/dev/null": "no serial device",
-        "/dev/zero": "no serial device",
-        "/dev/tty": "console|terminal",
         str(tmp_path / "notes.txt"): "a file, not a device",
         str(tmp_path): "a folder",
     }
@@ -85,33 +80,3 @@ def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with
             ServoBus.open(port, 1_000_000)
         assert "set the parameter port" in str(rejected.value)
         assert "\n" not in str(rejected.value)
-
-
-def test_the_controlling_terminal_is_rejected_although_no_stream_uses_it(terminal):
-    _, name = terminal
-    script = (
-        "import os, sys\n"
-        "from worm_driver.servos import serial_port\n"
-        "os.open(sys.argv[1], os.O_RDWR)\n"  # the first terminal of a session becomes its controlling terminal
-        "print(serial_port.why_no_port(sys.argv[1]))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, name],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        start_new_session=True,
-        check=True,
-    )
-    assert name in done.stdout
-    assert "terminal" in done.stdout
-
-
-def test_the_terminal_of_the_driver_itself_is_rejected(monkeypatch, terminal):
-    slave, name = terminal
-    number = os.fstat(slave).st_rdev
-    assert serial_port.why_no_port(name) == ""
-    monkeypatch.setattr(serial_port, "_own_terminals", lambda: {number})
-    reason = serial_port.why_no_port(name)
-    assert name in reason
-    assert "terminal" in reason

@@ -261,9 +261,7 @@ TENSIONED = Gait(0.06, 0.4, pretension=0.02)
 )
 def test_the_fins_grooves_are_known_whenever_the_fins_turn(rest: float, pause: float, gait: Gait):
     """The slack decides in which grooves the fins are turned. No camera corrects them."""
-    driver = driver_settings()
-    player = replace(driver.player, rest_duration=rest, rest_timeout=rest + 2.0)
-    session = Session(driver=replace(driver, player=player))
+    session = Session(driver=driver_settings(rest_duration=rest))
     session.run(GAIT_REVERSE, 2, before=1.0, after=0.0)
     session.camera = False
     played = session.run(gait, 2, before=pause, after=1.0)
