@@ -33,7 +33,7 @@ def read_sections(path: str | Path) -> list[Section]:
     try:
         with Path(path).open("rb") as stream:
             loader = _Loader(stream)
-            found = []
+            found: list[Section] = []
             while loader.check_node():
                 found += _sections(loader, loader.get_node())
             return found

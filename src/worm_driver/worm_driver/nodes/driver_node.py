@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from traceback import format_exception
-from typing import TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
@@ -27,6 +26,7 @@ from std_srvs.srv import Trigger
 from worm_driver.control.diagnostics import network_report, offline_report, release_report
 from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
+from worm_driver.control.robot import Robot
 from worm_driver.driver_errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.driver_messages import Stamps
@@ -38,8 +38,6 @@ from worm_driver.nodes.tracker_listener import TrackerListener
 from worm_msgs import network
 from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
-
-T = TypeVar("T")
 
 #: s, time slice of the interpreter's threads; Python's default of 5 ms would be half a control cycle
 _SWITCH_INTERVAL = 0.0005
@@ -64,19 +62,8 @@ _LINGER = 0.3
 _END = "the driver ends"
 REJECTIONS = (ConfigurationError,)
 
-_Action = Callable[[Hardware, float], object]
-_SERVICES: tuple[tuple[str, _Action, str], ...] = (
-    (
-        "home",
-        lambda hardware, _: hardware.robot.home(),
-        "the present cable length is now the initial length",
-    ),
-    (
-        "reboot",
-        lambda hardware, _: hardware.robot.reboot(),
-        "servos with a hardware error were restarted; if a cable servo was one of them, call home before activate",
-    ),
-)
+_HOMED = "the present cable length is now the initial length"
+_REBOOTED = "servos with a hardware error were restarted; if a cable servo was one of them, call home before activate"
 
 
 class DriverNode(LifecycleNode):
@@ -117,8 +104,8 @@ class DriverNode(LifecycleNode):
             self._action.stop,
             self._action.on_heartbeat,
         )
-        for name, action, done in _SERVICES:
-            self.create_service(Trigger, name, partial(self._serve, action, done))
+        self.create_service(Trigger, "home", partial(self._serve, Robot.home, _HOMED))
+        self.create_service(Trigger, "reboot", partial(self._serve, Robot.reboot, _REBOOTED))
         self._ends = False
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
@@ -336,23 +323,23 @@ class DriverNode(LifecycleNode):
     def _release(self) -> None:
         """Bring the robot to rest and release the servos. Raises StoppedError, ReleaseError, DriverError."""
         hardware = self._opened()
-        self._do(
-            lambda hardware, now: hardware.robot.ramp_to_rest(now, "the driver is deactivated")
-        )
+        robot, do = hardware.robot, hardware.loop.run
+        do(lambda now: robot.ramp_to_rest(now, "the driver is deactivated"))
         end = hardware.clock() + hardware.release_time
-        while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
-            if self._do(lambda hardware, _: hardware.robot.holding):
+        while not do(lambda _: robot.released):
+            interrupted = do(lambda _: robot.holding)
+            if interrupted or hardware.clock() >= end:
+                cause = (
+                    "a stop or a FAULT interrupted the return to rest"
+                    if interrupted
+                    else "the robot did not come to rest in time"
+                )
+                contracted = robot.actuators.contraction_text
                 raise StoppedError(
-                    f"a stop or a FAULT interrupted the return to rest: {hardware.robot.actuators.contraction_text} "
-                    "and keeps its torque; deactivate it again"
+                    f"{cause}: {contracted} and keeps its torque; deactivate it again"
                 )
             self._publish()
-        if not self._do(lambda hardware, _: hardware.robot.released):
-            raise StoppedError(
-                f"the robot did not come to rest in time: {hardware.robot.actuators.contraction_text} and keeps its "
-                "torque; deactivate it again"
-            )
-        problems = self._do(lambda hardware, _: hardware.robot.release(), _RELEASE)
+        problems = do(lambda _: robot.release(), _RELEASE)
         self._log_spring_back(hardware)
         if problems:
             raise ReleaseError(release_report(problems).message)
@@ -377,19 +364,19 @@ class DriverNode(LifecycleNode):
         super().destroy_node()
 
     def _serve(
-        self, action: _Action, done: str, _: Trigger.Request, response: Trigger.Response
+        self,
+        action: Callable[[Robot], object],
+        done: str,
+        _: Trigger.Request,
+        response: Trigger.Response,
     ) -> Trigger.Response:
         try:
-            self._do(action, _SERVICE_TIME)
+            hardware = self._opened()
+            hardware.loop.run(lambda _: action(hardware.robot), _SERVICE_TIME)
             response.success, response.message = True, done
         except DriverError as error:
             response.success, response.message = False, str(error)
         return response
-
-    def _do(self, action: Callable[[Hardware, float], T], timeout: float = 2.0) -> T:
-        """Run an action between two control cycles, within a timeout (s). Raises DriverError."""
-        hardware = self._opened()
-        return hardware.loop.run(lambda now: action(hardware, now), timeout)
 
     def _opened(self) -> Hardware:
         if self._hardware is None:

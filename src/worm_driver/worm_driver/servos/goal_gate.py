@@ -63,7 +63,7 @@ class GoalGate:
         within = {
             servo: ticks for servo, ticks in goals.items() if not self._why_withheld(servo, ticks)
         }
-        self._bus.count_withheld(len(goals) - len(within))
+        self._bus.count(withheld=len(goals) - len(within))
         self._bus.sync_write(_GOAL, within)
         self._sent.update(within)
 

@@ -25,6 +25,7 @@ import math
 import os
 import re
 import select
+import struct
 import termios
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -78,11 +79,7 @@ class Reply:
     data: bytes
     alert: bool
     error: int
-    received: float
-
-    def repeats(self, other: "Reply") -> bool:
-        """Return True if both replies have the same content. Their times of reception may differ."""
-        return (self.data, self.alert, self.error) == (other.data, other.alert, other.error)
+    received: float = field(compare=False)  # The same answer may arrive twice.
 
 
 @dataclass(frozen=True)
@@ -111,16 +108,13 @@ class BusCounters:
     retries: int = 0
 
 
-def _identity(data: bytes) -> Identity:
-    return Identity(data[0] | data[1] << 8, data[2])
-
-
 def error_text(number: int) -> str:
     """Return the meaning of a status packet's error number."""
     return _ERROR_TEXT.get(number, f"answers with error number {number}")
 
 
 BROADCAST = 254
+_PING, _READ, _WRITE, _REBOOT, _SYNC_READ, _SYNC_WRITE = 0x01, 0x02, 0x03, 0x08, 0x82, 0x83
 _HEADER = b"\xff\xff\xfd"  # first three bytes of a packet; the fourth is 0
 
 #: Remedies, by what the bus received from a servo. Each text names all causes that the observation permits.
@@ -146,8 +140,10 @@ _LEFT_OVER = 4096
 # Indices of a packet's fields. Stuffing covers the fields from the instruction on, without the CRC.
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _ALERT = 0x80
-#: Size of the data in the answer to a ping, bytes.
-_IDENTITY_SIZE = 3
+#: Data of the answer to a ping: model number and firmware version.
+_IDENTITY = struct.Struct("<HB")
+#: Address and size of a block of the control table.
+_BLOCK = struct.Struct("<HH")
 #: Longest time per id that the servos take to answer a ping of all servos, s (DynamixelSDK, broadcastPing).
 _PING_SLOT = 3e-3
 
@@ -395,9 +391,7 @@ class ServoBus:
 
     def ping(self, servo: int) -> Identity:
         """Return the model number and the firmware of a servo."""
-        packet = [0] * 10
-        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 1
-        return _identity(self._command(servo, packet, 3))
+        return Identity(*_IDENTITY.unpack(self._command(servo, _PING, b"", _IDENTITY.size)))
 
     def scan(self) -> dict[int, Identity]:
         """Ping all servos at once. Return the model number and the firmware of those that answer, by id.
@@ -405,19 +399,17 @@ class ServoBus:
         Raises:
             CorruptReplyError: Answers are garbled, or two have the same id. The message contains the ids.
         """
-        packet = [0] * 10
-        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = BROADCAST, 3, 1
         answers: list[int] = []
         found = {}
-        with self._question() as handler:
+        with self._question():
             self._begin(())
-            self._check_sent(handler.txPacket(self.port, packet))
+            self._send(BROADCAST, _PING)
             self.port.begin_wait(_PING_SLOT * BROADCAST + self.port.answer_time(14 * BROADCAST))
             while self.port.expects:
-                answer = self._receive(handler)
-                if answer is not None and len(data := self._reply(answer).data) == _IDENTITY_SIZE:
+                answer = self._receive()
+                if answer is not None and len(data := self._reply(answer).data) == _IDENTITY.size:
                     answers.append(answer[_ID])
-                    found[answer[_ID]] = _identity(data)
+                    found[answer[_ID]] = Identity(*_IDENTITY.unpack(data))
         if self._garbled or len(answers) > len(found):
             ids = ", ".join(map(str, sorted(answers))) or "none"
             raise CorruptReplyError(
@@ -431,36 +423,25 @@ class ServoBus:
 
     def read_block(self, servo: int, start: int, size: int) -> bytes:
         """Return a block of the control table."""
-        packet = [0] * 14
-        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 7, 2
-        packet[8:12] = [*start.to_bytes(2, "little"), *size.to_bytes(2, "little")]
-        return self._command(servo, packet, size)
+        return self._command(servo, _READ, _BLOCK.pack(start, size), size)
 
     def write(self, servo: int, register: Register, raw: int) -> None:
         """Write a register with acknowledgement by the servo."""
-        packet = [0] * (12 + register.size)
-        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 5 + register.size, 3
-        packet[8:-2] = [*register.address.to_bytes(2, "little"), *register.pack(raw)]
-        self._command(servo, packet, 0)
+        data = register.address.to_bytes(2, "little") + register.pack(raw)
+        self._command(servo, _WRITE, data, 0)
 
     def reboot(self, servo: int) -> None:
         """Restart a servo. The servo loses its torque and its turn count."""
-        packet = [0] * 10
-        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 8
-        self._command(servo, packet, 0)
+        self._command(servo, _REBOOT, b"", 0)
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
         """Write a register of several servos at once, without acknowledgement."""
         if not values:
             return
-        parameters = [
-            byte for servo, raw in values.items() for byte in (servo, *register.pack(raw))
-        ]
-        with self._exchange() as handler:
-            result = handler.syncWriteTxOnly(
-                self.port, register.address, register.size, parameters, len(parameters)
-            )
-        self._check_sent(result)
+        goals = b"".join(bytes((servo, *register.pack(raw))) for servo, raw in values.items())
+        with self._exchange():
+            block = _BLOCK.pack(register.address, register.size)
+            self._send(BROADCAST, _SYNC_WRITE, block + goals)
 
     def sync_read(
         self, start: int, size: int, servos: Sequence[int]
@@ -487,21 +468,19 @@ class ServoBus:
         doubted: set[int] = set()
         if not servos:
             return self.now(), replies
-        with self._question() as handler:
+        with self._question():
             requested_at = self._begin(servos)
-            self._check_sent(
-                handler.syncReadTx(self.port, start, size, list(servos), len(servos), False)
-            )
+            self._send(BROADCAST, _SYNC_READ, _BLOCK.pack(start, size) + bytes(servos))
             self.port.begin_wait(self.answer_time(size, len(servos)))
             while len(replies) < len(servos) and self.port.expects:
-                packet = self._receive(handler)
+                packet = self._receive()
                 if packet is None:
                     continue
                 servo, reply = packet[_ID], self._reply(packet)
                 if servo not in servos or not (len(reply.data) == size or reply.error):
-                    self._count(corrupt=1)
+                    self.count(corrupt=1)
                 elif servo in replies:
-                    if not reply.repeats(replies[servo]):
+                    if reply != replies[servo]:
                         doubted.add(servo)
                 elif any(servos.index(servo) < servos.index(earlier) for earlier in replies):
                     doubted.add(servo)
@@ -511,11 +490,9 @@ class ServoBus:
             replies.pop(servo, None)
         self._contradictory = doubted
         self._note_answers(replies)
-        self._count(
-            corrupt=len(doubted), errors=sum(reply.error != 0 for reply in replies.values())
-        )
+        self.count(corrupt=len(doubted), errors=sum(reply.error != 0 for reply in replies.values()))
         if len(replies) < len(servos):
-            self._count(timeouts=1)
+            self.count(timeouts=1)
             self._settled = False
         return requested_at, replies
 
@@ -529,13 +506,13 @@ class ServoBus:
 
     def torque_off_all(self) -> None:
         """Switch off the torque of all servos on the bus, by broadcast and without acknowledgement."""
-        with self._exchange() as handler:
-            torque = COMMON["torque_enable"]
-            self._check_sent(handler.writeTxOnly(self.port, BROADCAST, torque.address, 1, [0]))
+        with self._exchange():
+            address = COMMON["torque_enable"].address.to_bytes(2, "little")
+            self._send(BROADCAST, _WRITE, address + b"\0")
 
     def count_stale(self, servo: int, delay: float) -> None:
         """Count an answer that is older than its request, by a delay (s). The next request waits for a quiet line."""
-        self._count(stale=1)
+        self.count(stale=1)
         self._late[servo] = self.now(), delay
         self._settled = False
 
@@ -557,24 +534,16 @@ class ServoBus:
             "whether its answers are later than that"
         )
 
-    def count_implausible(self) -> None:
-        """Count a position that its servo cannot have reached."""
-        self._count(implausible=1)
-
-    def count_withheld(self, goals: int) -> None:
-        """Count goals that were not written because they are out of bounds."""
-        self._count(withheld=goals)
-
     def require_quiet_line(self) -> None:
         """Make the next request wait for a quiet line, on which no late answer can arrive."""
         self._settled = False
 
-    def _command(self, servo: int, packet: list[int], size: int) -> bytes:
+    def _command(self, servo: int, instruction: int, parameters: bytes, size: int) -> bytes:
         for attempt in range(self.retries + 1):
             if attempt:
-                self._count(retries=1)
+                self.count(retries=1)
             try:
-                return self._attempt(servo, list(packet), size)
+                return self._attempt(servo, instruction, parameters, size)
             except (NoReplyError, CorruptReplyError):
                 self._settled = False
                 if attempt == self.retries:
@@ -584,13 +553,13 @@ class ServoBus:
                     raise
         raise AssertionError("unreachable")
 
-    def _attempt(self, servo: int, packet: list[int], size: int) -> bytes:
-        with self._question() as handler:
+    def _attempt(self, servo: int, instruction: int, parameters: bytes, size: int) -> bytes:
+        with self._question():
             self._begin((servo,))
-            self._check_sent(handler.txPacket(self.port, packet))
+            self._send(servo, instruction, parameters)
             self.port.setPacketTimeout(11 + size)
             while self.port.expects:
-                answer = self._receive(handler)
+                answer = self._receive()
                 if answer is not None and answer[_ID] == servo:
                     self._note_answers((servo,))
                     return self._content(servo, self._reply(answer), size)
@@ -598,7 +567,7 @@ class ServoBus:
         reason = f"servo {servo} {self.why_no_answer(servo, where)}"
         if self._garbled:
             raise CorruptReplyError(reason)
-        self._count(timeouts=1)
+        self.count(timeouts=1)
         raise NoReplyError(reason)
 
     def _begin(self, servos: Sequence[int]) -> float:
@@ -625,31 +594,31 @@ class ServoBus:
 
     def _content(self, servo: int, reply: Reply, size: int) -> bytes:
         if reply.error:
-            self._count(errors=1)
+            self.count(errors=1)
             raise StatusError(f"servo {servo} {error_text(reply.error)}", reply.error)
         if len(reply.data) != size:
-            self._count(corrupt=1)
+            self.count(corrupt=1)
             raise CorruptReplyError(
                 f"servo {servo} answered {len(reply.data)} bytes instead of {size}"
             )
         return reply.data
 
-    def _receive(self, handler: _PacketHandler) -> list[int] | None:
+    def _receive(self) -> list[int] | None:
         """Return the next status packet; None if it is garbled, or if none arrives before the timeout."""
-        packet, result = handler.rxPacket(self.port, False)
+        packet, result = self._handler.rxPacket(self.port, False)
         if result == COMM_SUCCESS and len(packet) >= _PARAMETERS + 2:
             return packet
         if packet:
             self._garbled = True
-            self._count(corrupt=1)
+            self.count(corrupt=1)
         return None
 
     @contextlib.contextmanager
-    def _exchange(self) -> Iterator[_PacketHandler]:
+    def _exchange(self) -> Iterator[None]:
         with self._lock:
-            self._count(exchanges=1)
+            self.count(exchanges=1)
             try:
-                yield self._handler
+                yield
             # termios.error is not an OSError. The SDK raises it when it clears the line before it sends.
             except (OSError, termios.error) as error:
                 raise PortError(
@@ -662,25 +631,30 @@ class ServoBus:
                 self.port.is_using = False
 
     @contextlib.contextmanager
-    def _question(self) -> Iterator[_PacketHandler]:
+    def _question(self) -> Iterator[None]:
         """Enter an exchange that expects answers. If a late answer may still arrive, first wait for a quiet line."""
-        with self._exchange() as handler:
+        with self._exchange():
             if not self._settled:
                 quiet = max(self._quiet, self.port.quiet_time)
                 self._note_late(*self.port.discard_until_quiet(quiet, longest=5 * quiet))
                 self._settled = True
-            yield handler
+            yield
 
     def _reply(self, packet: Sequence[int]) -> Reply:
         error = packet[_ERROR]
         data = bytes(packet[_PARAMETERS:-2])
         return Reply(data, bool(error & _ALERT), error & ~_ALERT, self.now())
 
-    def _check_sent(self, result: int) -> None:
+    def _send(self, servo: int, instruction: int, parameters: bytes = b"") -> None:
+        """Send a packet. The SDK fills in header and checksum, and stuffs the packet."""
+        length = (len(parameters) + 3).to_bytes(2, "little")
+        packet = [0, 0, 0, 0, servo, *length, instruction, *parameters, 0, 0]
+        result = self._handler.txPacket(self.port, packet)
         if result != COMM_SUCCESS:
             cause = "not all bytes were sent" if result == COMM_TX_FAIL else f"SDK result {result}"
             raise BusError(f"cannot send on {self.port.port_name}: {cause}")
 
-    def _count(self, **more: int) -> None:
+    def count(self, **more: int) -> None:
+        """Increase counters, by their names in `BusCounters`."""
         now = self.counters
         self.counters = replace(now, **{name: getattr(now, name) + n for name, n in more.items()})

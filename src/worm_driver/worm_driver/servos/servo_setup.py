@@ -173,10 +173,16 @@ def left_over(bus: ServoBus, servo: Servo, limit: float) -> str:
     wanted = _required(servo.model, {**_EEPROM, **_RAM})
     values = registers(bus, servo, *wanted, "goal_pwm")
     wanted["goal_pwm"] = max(values["goal_pwm"], servo["goal_pwm"].to_raw(limit))
-    differing = (
-        f"{n} {values[n]} instead of {raw}" for n, raw in wanted.items() if values[n] != raw
+    return _differences(values, wanted)
+
+
+def _differences(values: Mapping[str, int], wanted: Mapping[str, int]) -> str:
+    """Return the registers that have another value than wanted, as text; empty if there are none."""
+    return ", ".join(
+        f"{name} {values[name]} instead of {raw}"
+        for name, raw in wanted.items()
+        if values[name] != raw
     )
-    return ", ".join(differing)
 
 
 def _required(model: ServoModel, values: Mapping[str, int]) -> dict[str, int]:
@@ -243,12 +249,15 @@ def _registers(
 
 def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
     """Write a register and read it back."""
-    bus.write(servo.number, servo[name], raw)
-    stored = registers(bus, servo, name)[name]
-    if stored != raw:
-        raise CorruptReplyError(
-            f"servo {servo.number} has {stored} in {name}, not the {raw} that was written: try again"
-        )
+    _store_all(bus, servo, {name: raw})
+
+
+def _store_all(bus: ServoBus, servo: Servo, wanted: Mapping[str, int]) -> None:
+    """Write registers, then read them back together."""
+    for name, raw in wanted.items():
+        bus.write(servo.number, servo[name], raw)
+    if wrong := _differences(registers(bus, servo, *wanted), wanted):
+        raise CorruptReplyError(f"servo {servo.number} did not store a value: {wrong}. Try again")
 
 
 def check(bus: ServoBus, servo: Servo) -> None:
@@ -332,14 +341,9 @@ def held_position(bus: ServoBus, servo: Servo) -> int | None:
         return None
     wanted = {"operating_mode": EXTENDED_POSITION_MODE, "drive_mode": 0}
     wanted |= _mark(values["homing_offset"])
-    differing = [
-        f"{name} is {values[name]} instead of {raw}"
-        for name, raw in wanted.items()
-        if values[name] != raw
-    ]
-    if differing:
+    if differing := _differences(values, wanted):
         raise ConfigurationError(
-            f"servo {servo.number} has its torque on, and its position is not known ({', '.join(differing)}; led and "
+            f"servo {servo.number} has its torque on, and its position is not known ({differing}; led and "
             "velocity_i_gain are the mark of a homed servo): the body may be contracted, and would spring back without "
             "torque; switch the torque off with the program that switched it on, or secure the body and switch the "
             "supply off"
@@ -427,14 +431,7 @@ def reset_control(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0)
         profile.name: max(1, profile.to_raw(min(speed, servo.velocity_limit))),
         output.name: output.to_raw(1.0 if servo.model.measures_current else limit),
     }
-    for name, raw in wanted.items():
-        bus.write(servo.number, servo[name], raw)
-    stored = registers(bus, servo, *wanted)
-    for name, raw in wanted.items():
-        if stored[name] != raw:
-            raise CorruptReplyError(
-                f"servo {servo.number} has {stored[name]} in {name}, not the {raw} that was written: activate again"
-            )
+    _store_all(bus, servo, wanted)
 
 
 def arm_watchdog(bus: ServoBus, servo: Servo, watchdog: float) -> None:

@@ -201,7 +201,7 @@ class StateReader:
         return requested_at, states
 
     def _note_implausible(self, servo: int, ticks: int) -> None:
-        self._bus.count_implausible()
+        self._bus.count(implausible=1)
         self._implausible[servo] = ticks
         self.problems[servo] = f"reports a position that it cannot have reached ({ticks} ticks)"
 

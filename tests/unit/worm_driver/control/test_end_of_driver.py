@@ -106,8 +106,8 @@ def test_a_torque_at_an_unknown_position_is_not_released(register, value, wanted
     rig.cable.memory[register] = value
     with pytest.raises(ConfigurationError) as caught:
         rig.restarted_driver()
-    registers = re.findall(r"\w+ is \d+ instead of \d+", str(caught.value))
-    assert registers == [f"{register} is {value} instead of {wanted}"]
+    registers = re.findall(r"\w+ \d+ instead of \d+", str(caught.value))
+    assert registers == [f"{register} {value} instead of {wanted}"]
     assert rig.cable.memory["torque_enable"] == 1
 
 
