@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from worm_driver.commands.driver_command import new_file, run_command
+from worm_driver.commands.driver_command import new_file, run_command, within
 from worm_driver.control.actuators import own_limit
 from worm_driver.driver_errors import (
     ConfigurationError,
@@ -338,13 +338,6 @@ def calibrate(calibration: Calibration, turns: float) -> tuple[list[Spool], list
     return spools, fins
 
 
-def _turns(text: str) -> float:
-    turns = float(text)
-    if not 0.05 <= turns <= 5.0:
-        raise argparse.ArgumentTypeError(f"{text} must be 0.05 to 5")
-    return turns
-
-
 def _parser() -> Parser:
     parser = Parser(
         prog="calibrate",
@@ -361,7 +354,7 @@ def _parser() -> Parser:
     )
     parser.add_argument(
         "--turns",
-        type=_turns,
+        type=within(0.05, 5.0),
         default=0.5,
         help="turns of the spool from the first to the last ruler reading, 0.05 to 5; default: %(default)s",
     )

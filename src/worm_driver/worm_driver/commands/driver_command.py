@@ -43,6 +43,18 @@ def positive(text: str) -> float:
     return value
 
 
+def within(low: float, high: float, kind: type[float] = float) -> Callable[[str], float]:
+    """Return a type of an argument for argparse: a number from ``low`` to ``high``."""
+
+    def number(text: str) -> float:
+        value = kind(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} must be {low:g} to {high:g}")
+        return value
+
+    return number
+
+
 def say(text: str) -> None:
     """Print a line on standard error."""
     sys.stderr.write(f"{text}\n")

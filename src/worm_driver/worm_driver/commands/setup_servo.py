@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from worm_driver.commands.driver_command import run_command
+from worm_driver.commands.driver_command import run_command, within
 from worm_driver.driver_errors import ConfigurationError, CorruptReplyError, NoReplyError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.registers import BAUD_RATES, HIGHEST_ID
@@ -105,20 +105,15 @@ def _change(bus: ServoBus, servo: Servo, name: str, raw: int, say: Say) -> None:
     say(f"  {name}: {before} -> {raw}, verified")
 
 
-def _number(text: str) -> int:
-    number = int(text)
-    if not 0 <= number <= HIGHEST_ID:
-        raise argparse.ArgumentTypeError(f"{text} must be 0 to {HIGHEST_ID}")
-    return number
-
-
 def _parser() -> Parser:
     parser = Parser(
         prog="setup_servo",
         description="Give the only servo on the bus its id and baud rate, no return delay, and the limits that the "
         "driver needs. After an interruption, call it again.",
     )
-    parser.add_argument("id", type=_number, help="new id, 0 to 252, as in the driver's file")
+    parser.add_argument(
+        "id", type=within(0, HIGHEST_ID, int), help="new id, 0 to 252, as in the driver's file"
+    )
     parser.add_argument("--port", default="/dev/worm_bus", help="serial port; default: %(default)s")
     parser.add_argument(
         "--baud-rate",

@@ -174,44 +174,35 @@ class ControlLoop(PeriodicThread):
         action: Callable[[float], T],
         timeout: float = 2.0,
         undo: Callable[[float], object] | None = None,
+        lifetime: float = 0.5,
     ) -> T:
         """Submit an action, wait for its result and return it.
 
-        If the timeout expires before the action has begun, the action never runs. If the timeout expires later,
-        ``undo`` runs after the action, unless the thread ends before.
+        If the timeout expires before the action has begun, the action never runs, unless its lifetime is infinite. If
+        the timeout expires later, ``undo`` runs after the action, unless the thread ends before.
 
         Args:
             action: called with the time (s, monotonic).
             timeout: longest wait for the result, s.
             undo: action that reverts this one.
+            lifetime: see `submit`.
 
         Raises:
             DriverError: The action failed, its result did not arrive in time, or the thread has ended.
         """
-        answer = self.submit(action)
+        answer = self.submit(action, lifetime)
         timeout = max(timeout, self._clock.least_timeout)
         try:
             return answer.result(timeout)
         except TimeoutError:
-            if not answer.cancel() and undo is not None:
+            withdrawn = math.isfinite(lifetime) and answer.cancel()
+            if undo is not None and not withdrawn:
                 self.submit(undo, lifetime=math.inf)
-            raise self._silent(timeout) from None
-
-    def run_without_deadline(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
-        """Submit an action, wait for its result and return it, as in `run`, but without ``undo``.
-
-        The action runs even if the timeout expires before the action begins, unless the thread ends before.
-        """
-        timeout = max(timeout, self._clock.least_timeout)
-        try:
-            return self.submit(action, lifetime=math.inf).result(timeout)
-        except TimeoutError:
-            raise self._silent(timeout) from None
-
-    def _silent(self, timeout: float) -> DriverError:
-        if self.failure is not None:
-            return self._ended()
-        return DriverError(f"the servo bus thread did not respond within {timeout:g} s")
+            if self.failure is not None:
+                raise self._ended() from None
+            raise DriverError(
+                f"the servo bus thread did not respond within {timeout:g} s"
+            ) from None
 
     def _ended(self) -> DriverError:
         cause = "the robot was closed" if self.failure is None else repr(self.failure)

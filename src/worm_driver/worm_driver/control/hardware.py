@@ -62,7 +62,6 @@ class Hardware:
         loop: control loop.
         snapshots: queue of the snapshots of all cycles, oldest first. The reader removes them; none is ever dropped.
         samples: queue of the power sensor's samples, oldest first. The reader removes them; none is ever dropped.
-        warnings: queue of warnings about the devices, for the log. The reader removes them.
 
     Raises:
         DriverError: A device is missing or does not match the settings. The open devices are closed again.
@@ -79,7 +78,6 @@ class Hardware:
         self._longest_stroke = settings.max_stroke
         self.snapshots: deque[CycleSnapshot] = deque()
         self.samples: deque[PowerSample] = deque()
-        self.warnings: deque[str] = deque()
         self._first_samples: list[PowerSample] = []
         self._reversed_current = ""
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
@@ -246,13 +244,7 @@ class Hardware:
         if sample.status is SampleStatus.VALID and len(self._first_samples) < _FIRST_SAMPLES:
             self._first_samples.append(sample)
             if len(self._first_samples) == _FIRST_SAMPLES:
-                self._check_current()
-
-    def _check_current(self) -> None:
-        """Queue a warning if the current at rest has the wrong sign."""
-        self._reversed_current = reversed_current(self._first_samples)
-        if self._reversed_current:
-            self.warnings.append(self._reversed_current)
+                self._reversed_current = reversed_current(self._first_samples)
 
 
 def _open_sensor(settings: DriverSettings) -> INA219 | None:

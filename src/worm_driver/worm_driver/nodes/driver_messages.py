@@ -35,9 +35,6 @@ _STATE = {
     Phase.FAULT: GaitState.FAULT,
 }
 
-#: s, smallest change of the difference between the clocks that counts as a step of the ROS clock
-_CLOCK_STEP = 0.02
-
 
 @dataclass(frozen=True)
 class ClockPair:
@@ -48,11 +45,6 @@ class ClockPair:
     """
 
     offset_ns: int
-
-    def step_since(self, earlier: "ClockPair") -> float:
-        """Return the step (s) of the ROS clock since an earlier pair; 0 if the difference may be drift."""
-        step = (self.offset_ns - earlier.offset_ns) * 1e-9
-        return step if abs(step) > _CLOCK_STEP else 0.0
 
     @staticmethod
     def read(ros_now_ns: Callable[[], int], attempts: int = 3) -> "ClockPair":
@@ -213,26 +205,18 @@ class Stamps:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._clocks: ClockPair | None = None
         self.robot_clock: Clock | None = None
 
     def clocks(self) -> ClockPair:
-        """Return the difference between the ROS clock and the robot's clock. Log a step of the ROS clock, as by NTP.
+        """Return the present difference between the ROS clock and the robot's clock.
 
-        A real robot uses the monotonic clock. So a step of the ROS clock changes the stamps, but neither motion nor
-        metrics.
+        A real robot uses the monotonic clock. So a step of the ROS clock, as by NTP, changes the stamps, but neither
+        motion nor metrics.
         """
         clock = self.robot_clock
         if clock is not None and clock.epoch_ns is not None:
             return ClockPair(clock.epoch_ns)  # The ROS time of a virtual robot is its own clock.
-        clocks = ClockPair.read(lambda: self._node.get_clock().now().nanoseconds)
-        step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
-        if step:
-            self._node.get_logger().warning(
-                f"the system clock has jumped by {step:.3f} s, and the stamps with it"
-            )
-        self._clocks = clocks
-        return clocks
+        return ClockPair.read(lambda: self._node.get_clock().now().nanoseconds)
 
     def now(self) -> Time:
         """Return the present stamp."""

@@ -394,9 +394,7 @@ class DriverNode(LifecycleNode):
             self._telemetry.show_inactive(self._why_closed)
 
     def _pass_on(self, hardware: Hardware) -> None:
-        """Pass the snapshots and power samples since the last call to all sinks, and log the warnings."""
-        while hardware.warnings:
-            self.get_logger().warning(hardware.warnings.popleft())
+        """Pass the snapshots and power samples since the last call to all sinks."""
         while hardware.samples:
             sample = hardware.samples.popleft()
             for sink in self._sinks:

@@ -3,7 +3,7 @@
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -63,7 +63,7 @@ class StopServices:
             cli_args=["--ros-args", "-r", f"__node:={name}"],  # overrides the process's __node:=
             enable_rosout=False,
         )
-        self._stop = node.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
+        node.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
         node.create_service(
             Trigger, "reset_emergency_stop", self._on_reset, qos_profile=_EVERY_CALL
         )
@@ -94,28 +94,19 @@ class StopServices:
         executor.shutdown()
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Stop the robot. One stop, which takes a control cycle, answers all waiting calls."""
-        others = list(self._further_stops())
+        """Stop the robot, whatever commands wait."""
         self._reject_goals()
         try:
             hardware = self._opened()
-            message = hardware.loop.run_without_deadline(
-                lambda now: hardware.robot.stop(now, "the service stop was called")
+            message = hardware.loop.run(
+                lambda now: hardware.robot.stop(now, "the service stop was called"),
+                lifetime=math.inf,
             )
         except Exception as error:  # noqa: BLE001 (the service must survive for the next call)
             response.success, response.message = False, str(error)
         else:
             response.success, response.message = True, message
-        for header in others:
-            self._stop.send_response(response, header)
         return response
-
-    def _further_stops(self) -> Iterator[object]:
-        """Yield the headers of the calls that wait behind the present one."""
-        handle = self._stop.handle
-        with handle:
-            while (header := handle.service_take_request(Trigger.Request)[1]) is not None:
-                yield header
 
     def _on_emergency(self, message: Bool) -> None:
         """Turn the emergency stop on if a message is true: the robot holds. A false message does not turn it off."""

@@ -10,25 +10,11 @@ import errno
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import smbus2
 
 from worm_driver.driver_errors import PowerSensorError
 from worm_driver.power.socket_smbus import SocketSMBus
-
-
-class WordBus(Protocol):
-    """Methods of smbus2.SMBus that this module uses."""
-
-    def read_word_data(self, i2c_addr: int, register: int) -> int:
-        """Read a word, low byte first."""
-
-    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
-        """Write a word, low byte first."""
-
-    def close(self) -> None:
-        """Close the bus."""
 
 
 @dataclass
@@ -41,7 +27,7 @@ class I2CDevice:
         address: 7-bit address.
     """
 
-    bus: WordBus
+    bus: smbus2.SMBus | SocketSMBus
     bus_name: str
     address: int
 
@@ -116,7 +102,7 @@ def exists(bus: str) -> bool:
     return True
 
 
-def _open_bus(bus: str) -> WordBus:
+def _open_bus(bus: str) -> smbus2.SMBus | SocketSMBus:
     if bus.isdecimal():
         return smbus2.SMBus(int(bus))
     if stat.S_ISSOCK(Path(bus).stat().st_mode):

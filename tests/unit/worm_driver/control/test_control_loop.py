@@ -148,7 +148,7 @@ def test_of_the_commands_given_up_in_the_queue_only_one_without_deadline_is_carr
     with pytest.raises(DriverError, match="did not respond"):
         loop.run(lambda _: done.append("late"), timeout=0.01, undo=lambda _: done.append("undone"))
     with pytest.raises(DriverError, match="did not respond"):
-        loop.run_without_deadline(lambda _: done.append("executed"), timeout=0.01)
+        loop.run(lambda _: done.append("executed"), timeout=0.01, lifetime=math.inf)
     slow.may_end.set()
     loop.submit(lambda _: None).result(TIMEOUT_S)
     assert done == ["executed"]
@@ -232,9 +232,8 @@ def test_a_command_after_the_end_is_rejected_at_once(loop):
     answer = loop.submit(lambda _: 1)
     assert answer.done()
     assert type(answer.exception()) is DriverError
-    for run in (loop.run, loop.run_without_deadline):
-        with pytest.raises(DriverError, match="has ended"):
-            run(lambda _: 1)
+    with pytest.raises(DriverError, match="has ended"):
+        loop.run(lambda _: 1)
 
 
 def test_commands_that_are_submitted_during_the_end_are_all_answered(robot, loop):

@@ -37,11 +37,6 @@ def test_a_stamp_is_the_moment_of_acquisition():
     assert stamp.sec + stamp.nanosec * 1e-9 == pytest.approx(time.time(), abs=0.5)
 
 
-def test_a_step_of_the_clock_is_distinguished_from_drift():
-    assert ClockPair(10**9).step_since(ClockPair(10**9 - 10**6)) == 0.0
-    assert ClockPair(10**9).step_since(ClockPair(3 * 10**9)) == pytest.approx(-2.0)
-
-
 def test_a_silent_servo_has_no_numbers_but_keeps_its_place():
     models = (XM430_W350, XL330_M288)
     message = ros_messages.joint_state(
