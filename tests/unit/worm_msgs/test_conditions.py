@@ -13,7 +13,6 @@ from worm_model.commands.command_line import Parser
 from worm_model.loads import under
 from worm_model.parameters import PAPER
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions, conditions_of
-from worm_msgs.input_error import InputError
 
 
 def options_of(values):
@@ -80,11 +79,6 @@ def test_all_users_reject_the_same_conditions(user, values, facts, tmp_path, cap
     message = str(caught.value) if isinstance(caught.value, ValueError) else capsys.readouterr().err
     assert [fact for fact in facts if fact not in message] == []
     assert "\n" not in message.strip()
-
-
-def test_a_rejected_condition_is_bad_input():
-    with pytest.raises(InputError):
-        Conditions(tether_n=-3.0)
 
 
 def test_the_tether_grows_with_the_distance_and_stays_behind_the_start():

@@ -6,14 +6,12 @@ import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from worm_driver.control import diagnostics
 from worm_driver.control.control_loop import ControlLoop, PowerLoop
 from worm_driver.control.diagnostics import DiagnosticReport
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import CycleSnapshot, Robot
-from worm_driver.driver_errors import DriverError
 from worm_driver.power import i2c
 from worm_driver.power.ina219 import (
     INA219,
@@ -24,7 +22,7 @@ from worm_driver.power.ina219 import (
 )
 from worm_driver.servos import serial_port
 from worm_driver.servos.registers import ServoModel
-from worm_driver.servos.servo_bus import BusCounters, ServoBus
+from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.simulated_clock import I2C, SERIAL, clock_of
 
 #: Factor by which late cycles may prolong a return to rest, which does not catch up.
@@ -37,14 +35,6 @@ _LISTENING_TIMEOUT = 3.0
 _BACKLOG = 250
 #: Longest time for which the time of a virtual robot waits for the reader, s.
 _BACKLOG_TIMEOUT = 10.0
-
-
-@dataclass
-class _Seen:
-    """Counters at the previous report."""
-
-    counters: BusCounters
-    power: Counter[SampleStatus]
 
 
 class Hardware:
@@ -87,9 +77,13 @@ class Hardware:
             self._bus = ServoBus.open(settings.port, settings.baud_rate)
             opened.callback(self._bus.close)
             # The sensor is opened before the clock: a thread with a virtual robot's clock may wait on this clock only.
-            sensor = _open_sensor(settings)
-            if sensor is not None:
-                opened.callback(sensor.device.close)
+            sensor = None
+            if settings.has_sensor:
+                calibration = calibration_for(settings.shunt_resistance, settings.max_current)
+                device = i2c.open_device(settings.i2c_bus, settings.i2c_address)
+                opened.callback(device.close)
+                sensor = INA219(device, settings.shunt_resistance, calibration)
+                sensor.start()
             self.clock = clock_of(settings.port, SERIAL)
             opened.callback(self.clock.close)
             self._bus.port.go_by(self.clock)
@@ -103,7 +97,8 @@ class Hardware:
                 why_not_start=why_not_start,
             )
             opened.pop_all()
-        self._seen = _Seen(self._bus.counters, Counter())
+        # Counters of the bus and of the power samples at the previous report.
+        self._reported = self._bus.counters, Counter[SampleStatus]()
         self.loop = ControlLoop(self.robot, self._on_snapshot, self.clock)
         self.loop.start()
         if sensor is not None:
@@ -183,9 +178,8 @@ class Hardware:
         Args:
             latest: snapshot of the latest cycle.
         """
-        robot, before = self.robot, self._seen
-        counters, power = self._bus.counters, self._power_counts.copy()
-        self._seen = _Seen(counters, power)
+        robot, (counters_before, power_before) = self.robot, self._reported
+        counters, power = self._reported = self._bus.counters, self._power_counts.copy()
         timer = serial_port.latency_timer_ms(self.settings.port)
         reports = [
             diagnostics.gait_report(
@@ -194,7 +188,7 @@ class Hardware:
                 homed=robot.actuators.homed,
                 left_on=robot.actuators.left_on,
             ),
-            diagnostics.bus_report(self.settings.port, counters, before.counters, timer),
+            diagnostics.bus_report(self.settings.port, counters, counters_before, timer),
             diagnostics.timing_report(
                 self.loop.report(), self.settings.period, self.loop.scheduling
             ),
@@ -208,7 +202,7 @@ class Hardware:
         if self._power is not None:
             where = f"INA219 0x{self.settings.i2c_address:02X} on {self.settings.i2c_bus}"
             reports.append(
-                diagnostics.power_report(power - before.power, where, self._reversed_current)
+                diagnostics.power_report(power - power_before, where, self._reversed_current)
             )
         return reports
 
@@ -245,17 +239,3 @@ class Hardware:
             self._first_samples.append(sample)
             if len(self._first_samples) == _FIRST_SAMPLES:
                 self._reversed_current = reversed_current(self._first_samples)
-
-
-def _open_sensor(settings: DriverSettings) -> INA219 | None:
-    if not settings.has_sensor:
-        return None
-    calibration = calibration_for(settings.shunt_resistance, settings.max_current)
-    device = i2c.open_device(settings.i2c_bus, settings.i2c_address)
-    sensor = INA219(device, settings.shunt_resistance, calibration)
-    try:
-        sensor.start()
-    except DriverError:
-        device.close()
-        raise
-    return sensor

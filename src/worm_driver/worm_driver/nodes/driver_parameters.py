@@ -24,24 +24,21 @@ _LIMITS = "limits."
 _AT_START = ("autostart", "stay_on_failure", "device_timeout_s")
 _SIMULATED_TIME = "use_sim_time"
 _POLL = 0.05  # s, period of the checks for the devices
-_ROWS = tuple(
-    ParameterRow(
-        row.metadata["alias"],
-        list(row.default) if isinstance(row.default, tuple) else row.default,
-        row.metadata["meaning"],
-        row.metadata.get("ge"),
-        row.metadata.get("le"),
-    )
-    for row in dataclasses.fields(DriverFile)
-)
-_ARRAYS = frozenset(row.name for row in _ROWS if isinstance(row.default, list))
+_FIELDS = dataclasses.fields(DriverFile)
+_ARRAYS = frozenset(row.metadata["alias"] for row in _FIELDS if isinstance(row.default, tuple))
 
 
 def rows() -> list[ParameterRow]:
     """Return all parameters. Each description ends with the time at which a change takes effect."""
     return [
-        dataclasses.replace(row, description=f"{row.description} {_effect(row.name)}")
-        for row in _ROWS
+        ParameterRow(
+            row.metadata["alias"],
+            list(row.default) if isinstance(row.default, tuple) else row.default,
+            f"{row.metadata['meaning']} {_effect(row.metadata['alias'])}",
+            row.metadata.get("ge"),
+            row.metadata.get("le"),
+        )
+        for row in _FIELDS
     ]
 
 

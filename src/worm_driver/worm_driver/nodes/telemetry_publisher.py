@@ -83,18 +83,14 @@ class TelemetryPublisher:
         self.latest = snapshot
         initial, clocks = self._initial_length, self._stamps.clocks()
         self._joint_states.publish(driver_messages.joint_state(*self._joints, snapshot, clocks))
-        if not math.isnan(snapshot.commanded):
-            self._commanded.publish(
-                driver_messages.body_length(
-                    BodyLength.COMMANDED, snapshot.command_time, snapshot.commanded, initial, clocks
+        for publisher, source, time, change in (
+            (self._commanded, BodyLength.COMMANDED, snapshot.command_time, snapshot.commanded),
+            (self._cable, BodyLength.CABLE, snapshot.read_time, snapshot.cable),
+        ):
+            if not math.isnan(change):
+                publisher.publish(
+                    driver_messages.body_length(source, time, change, initial, clocks)
                 )
-            )
-        if not math.isnan(snapshot.cable):
-            self._cable.publish(
-                driver_messages.body_length(
-                    BodyLength.CABLE, snapshot.read_time, snapshot.cable, initial, clocks
-                )
-            )
         self._show_gait_state(snapshot, clocks)
 
     def _show_gait_state(self, snapshot: CycleSnapshot, clocks: ClockPair) -> None:

@@ -15,7 +15,6 @@ from worm_driver.driver_errors import (
     ConfigurationError,
     CorruptReplyError,
     DriverError,
-    PortError,
     ReleaseError,
 )
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
@@ -35,13 +34,6 @@ def test_exact_readings_give_the_spool_back(sign, radius, length):
     assert (spool.servo, spool.sign) == (7, sign)
     assert spool.radius == pytest.approx(radius, abs=1e-5)
     assert worst == pytest.approx(0.0, abs=1e-9)
-
-
-def test_readings_to_the_millimetre_give_the_radius_to_a_few_percent():
-    radius = 0.025
-    ticks = [0, 700, 1400, 2100]
-    readings = [Reading(t, round(0.3 - radius * t * 2 * math.pi / 4096, 3)) for t in ticks]
-    assert spool_from(1, readings)[0].radius == pytest.approx(radius, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -262,17 +254,6 @@ def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
     assert lit == [1]
     assert rig.cable.memory["led"] == 1
     assert not rig.restarted_driver().robot.actuators.homed
-
-
-def test_a_port_that_is_unplugged_during_the_search_is_reported_as_such():
-    bench = Bench()
-
-    def unplugged(packet) -> int:
-        raise OSError("no such device")
-
-    bench.port.writePort = unplugged
-    with pytest.raises(PortError, match="no such device"):
-        bench.calibration.find_servos()
 
 
 def test_a_blocked_cable_ends_the_conversation():

@@ -66,8 +66,3 @@ def test_bad_input_is_one_line(text, arguments, named, tmp_path, capsys):
     assert output.out == ""
     (line,) = output.err.splitlines()
     assert named in line
-
-
-def test_a_missing_file_is_bad_input(tmp_path, capsys):
-    assert main([str(tmp_path / "none.yaml")]) == 2
-    assert "none.yaml" in capsys.readouterr().err

@@ -7,14 +7,12 @@ import threading
 
 import pytest
 
-from worm_driver.control.diagnostics import Level, timing_report
 from worm_driver.control.real_time import (
     NOT_REQUESTED,
     Scheduling,
     request_scheduling,
     return_to_normal,
 )
-from worm_driver.control.timing import TimingReport
 
 
 def granted(_: int) -> None:
@@ -67,15 +65,3 @@ def test_the_main_thread_gets_half_the_priority_until_the_end():
     if not urgencies[0].granted:
         pytest.skip(urgencies[0].description)
     assert found == [(10, 5), (0, 0)]
-
-
-def test_the_diagnostics_report_it_and_blame_it_only_for_a_late_loop():
-    missing = request_scheduling(40, rejected, rejected)
-    fine = TimingReport(0.01, 0.0005, 0.001, 0.0005, 0.004, 0, 1000)
-    late = TimingReport(0.01, 0.004, 0.02, 0.003, 0.006, 7, 1000)
-    assert timing_report(fine, 0.01, missing).level is Level.OK
-    assert ("real_time_priority", missing.description) in timing_report(fine, 0.01, missing).values
-    assert missing.description in timing_report(late, 0.01, missing).message
-    assert (
-        "grant" not in timing_report(late, 0.01, Scheduling(granted=True, description="x")).message
-    )

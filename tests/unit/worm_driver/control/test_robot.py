@@ -51,15 +51,6 @@ def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) 
 # --- configure, activate, release -----------------------------------------------------------------
 
 
-def test_opening_leaves_the_torque_off_and_finds_the_models(rig):
-    rig.run(0.5)
-    assert rig.torques == [0, 0, 0]
-    assert rig.snapshots[-1].active is False
-    found = [servo.model.name for servo in rig.robot.actuators.servos]
-    assert found == ["XM430-W350-T", "XL430-W250-T", "XL430-W250-T"]
-    assert rig.robot.actuators.servos[0].firmware == 48
-
-
 def test_a_missing_servo_is_named():
     with pytest.raises(BusError, match="servo 5 does not answer"):
         Rig(settings(cable_ids=(5,)))
@@ -163,17 +154,6 @@ def test_a_gait_is_played_as_commanded_and_ends_at_rest(rig):
         -0.06 < min(snapshot.cable for snapshot in played) < -0.057
     )  # the servo yields to the load
     assert end.commanded == 0.0
-
-
-def test_every_cycle_gives_a_sample_with_its_own_time(rig):
-    rig.activate()
-    rig.start(0.06, 0.4, cycles=1)
-    rig.run(5.0)
-    times = [snapshot.read_time for snapshot in rig.snapshots]
-    steps = [after - before for before, after in itertools.pairwise(times)]
-    assert len(times) == pytest.approx(510, abs=3)
-    assert min(steps) > 0.005
-    assert all(state is not SILENT for snapshot in rig.snapshots for state in snapshot.servos)
 
 
 def test_a_gait_while_inactive_is_rejected(rig):
@@ -494,21 +474,6 @@ def other_robot(models: dict[int, VirtualServoModel], voltage: float) -> Virtual
 
 #: parameters of a driver with one cable servo and no fins
 ONE_SERVO = spool_parameters([Spool(3, 1, 0.01)]) | fin_parameters([])
-
-
-@pytest.mark.parametrize(
-    ("model", "voltage"), [(XL330_M288, 5.0), (XL430_W250, 12.0), (XM430_W350, 12.0)]
-)
-def test_each_model_of_servo_plays_a_gait(model, voltage):
-    virtual = other_robot({3: model}, voltage)
-    given = settings(**ONE_SERVO, max_servo_current=5.0)
-    rig = Rig(given, virtual)
-    rig.activate()
-    rig.start(0.02, 0.2, cycles=1)
-    rig.run(12.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
-    assert min(s.cable for s in rig.snapshots) == pytest.approx(-0.02, abs=2e-3)
-    efforts = [s.servos[0].effort for s in rig.snapshots]
-    assert 0.0 < max(efforts) < 3.0
 
 
 @pytest.mark.parametrize(

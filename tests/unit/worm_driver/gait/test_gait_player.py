@@ -36,18 +36,6 @@ def running(gait=GAIT, cycles=5):
     return play(started(gait, cycles), 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)[-1]
 
 
-def test_a_run_rests_first_and_begins_at_no_contraction():
-    state = started()
-    states = play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)
-    assert {s.length_change for _, s in states} == {0.0}
-    resting = [t for t, s in states if s.phase is Phase.RESTING]
-    assert resting[-1] - resting[0] >= SETTINGS.rest_duration - 2 * DT
-    assert resting[0] >= SETTINGS.settle_time
-    now, state = states[-1]
-    assert state.run.onset == now
-    assert state.run.rest_start == pytest.approx(resting[0])
-
-
 def test_the_rest_waits_for_ten_idle_samples():
     state = started()
     few = Observation(fins_set=True, idle_samples=9)
@@ -205,17 +193,6 @@ def test_cancel_at_rest_ends_at_once():
     state = gait_player.cancel(state, now, "cancelled")
     assert (state.phase, state.run.ending) == (Phase.IDLE, Ending.CANCELLED)
     assert state.run.cycles_completed(now) == 0
-
-
-def test_after_a_stop_the_command_does_not_change():
-    now, state = running()
-    now, state = play(state, now, 0.6)[-1]
-    here = state.length_change
-    state = gait_player.stop(state, now, "asked to")
-    assert (state.phase, state.run.ending) == (Phase.HOLDING, Ending.STOPPED)
-    again = gait_player.stop(state, now + 0.1, "emergency stop")
-    assert again == replace(state, message="emergency stop")
-    assert {s.length_change for _, s in play(again, now, 2.0)} == {here}
 
 
 @pytest.mark.parametrize("cancelled", [False, True])

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.servos.registers import COMMON, MODELS, XL430_W250, XM430_W350, hardware_error_text
+from worm_driver.servos.registers import COMMON, MODELS, XM430_W350, hardware_error_text
 from worm_driver.servos.state_reader import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.servo import control_table
 
@@ -32,12 +32,6 @@ def test_a_table_has_no_overlaps_no_gap_in_the_state_and_agrees_with_the_virtual
         assert (row.address, row.size) == (found.address, found.size), name
         if row.signed != found.signed:
             assert name in {"goal_velocity", "goal_position"}, name
-
-
-def test_an_xl430_reports_a_load_and_no_current():
-    assert not XL430_W250.measures_current
-    assert "goal_current" not in XL430_W250.registers
-    assert XL430_W250["present_load"].address == 126
 
 
 def test_hardware_errors_are_named():
