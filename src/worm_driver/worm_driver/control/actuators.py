@@ -462,11 +462,15 @@ class Actuators:
         return math.nan if any(map(math.isnan, lengths)) else math.fsum(lengths) / len(lengths)
 
     def unset_fins(self, states: tuple[ServoState, ...], direction: int) -> tuple[int, ...]:
-        """Return the ids of the fin servos that do not stand still at their positions for a direction (1 or -1)."""
+        """Return the ids of the fin servos that do not stand still at their positions for a direction.
+
+        For the direction 0, in which the fins have no positions yet, return all ids.
+        """
         return tuple(
             fin.servo
             for fin, state in zip(self.settings.fins, states[len(self.cables) :], strict=True)
-            if state is SILENT
+            if direction == 0
+            or state is SILENT
             or abs(state.ticks - fin.ticks(direction)) > _FIN_TOLERANCE
             or abs(state.velocity) > _FIN_STILL
         )

@@ -41,12 +41,12 @@ class Hardware:
     """Open devices of a robot and the threads that use them.
 
     Args:
-        settings: present settings, see `apply_settings`.
+        settings: settings of the driver.
         tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
         why_not_start: returns why neither torque nor a run may begin; empty if they may.
 
     Attributes:
-        settings: settings of the robot.
+        settings: settings at the start, which the robot's own ones may undercut later (`Robot.apply_settings`).
         clock: clock of the robot.
         robot: the robot, owned by the loop.
         loop: control loop.
@@ -64,8 +64,6 @@ class Hardware:
         why_not_start: Callable[[], str] = lambda: "",
     ):
         self.settings = settings
-        # Largest max_stroke so far, because a run may have begun with it.
-        self._longest_stroke = settings.max_stroke
         self.snapshots: deque[CycleSnapshot] = deque()
         self.samples: deque[PowerSample] = deque()
         self._first_samples: list[PowerSample] = []
@@ -121,13 +119,10 @@ class Hardware:
     @property
     def release_time(self) -> float:
         """Longest duration of a return to rest and of the release after it, s."""
-        travel = self._longest_stroke + 0.02
+        travel = (
+            self.settings.max_stroke + 0.02
+        )  # A run may have begun before this limit was lowered.
         return _LATENESS * math.pi / 2 * travel / self.robot.return_speed + 1.0
-
-    def apply_settings(self, settings: DriverSettings) -> str:
-        """Apply new limits. Return a message if the present run ends because of them, else an empty string."""
-        self.settings = settings
-        return self.loop.run(lambda now: self.robot.apply_settings(now, settings))
 
     def description(self) -> list[str]:
         """Return the sentences that describe the devices found."""

@@ -436,14 +436,12 @@ class Robot:
         before = self.player
         samples = self._valid_power_samples()
         unset = self.actuators.unset_fins(self._states, before.direction)
-        fins_set = before.direction != 0 and not unset
-        if fins_set:
+        if before.direction and not unset:
             self._fins_set_for = before.direction
         observation = Observation(
-            fins_set,
+            unset,
             samples - self._idle_from,
             self._tracker_ready(),
-            unset,
             at_rest=not self.actuators.contracted,
         )
         settings = replace(self.settings.player, return_speed=self.return_speed)

@@ -134,17 +134,15 @@ class Observation:
     """Observations on which the changes of the phase depend.
 
     Attributes:
-        fins_set: True if the fins have reached their goals.
+        unset_fins: ids of the fin servos that have not reached their goals.
         idle_samples: number of valid power samples since the rest began.
         tracker_ready: True if the tracker sees the robot at rest, or if there is no tracker.
-        unset_fins: ids of the fin servos that have not reached their goals.
         at_rest: True if no cable is contracted according to the encoders.
     """
 
-    fins_set: bool
+    unset_fins: tuple[int, ...]
     idle_samples: int
     tracker_ready: bool = True
-    unset_fins: tuple[int, ...] = ()
     at_rest: bool = True
 
 
@@ -259,7 +257,7 @@ def step(
         return state
     before, state = state, handler(state, now, observation, settings)
     state = replace(state, stepped=now)
-    if moving(before) or state.direction != before.direction or not observation.fins_set:
+    if moving(before) or state.direction != before.direction or observation.unset_fins:
         return replace(state, still_start=now)
     return state
 
@@ -309,11 +307,12 @@ def _flipping(
     assert run is not None
     if state.direction != run.gait.direction:
         return replace(state, direction=run.gait.direction, phase_start=now)
-    if observation.fins_set and state.length_change != run.gait.point_of_rest:
-        return _enter(state, Phase.TENSIONING, now)
-    if observation.fins_set and now - state.still_start >= settings.settle_time:
-        return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
-    if not observation.fins_set and now - state.phase_start > settings.flip_timeout:
+    if not observation.unset_fins:
+        if state.length_change != run.gait.point_of_rest:
+            return _enter(state, Phase.TENSIONING, now)
+        if now - state.still_start >= settings.settle_time:
+            return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
+    elif now - state.phase_start > settings.flip_timeout:
         fins = ", ".join(f"servo {number}" for number in observation.unset_fins)
         reason = (
             f"these fins did not reach their goals within {settings.flip_timeout:g} s: {fins}. Check whether something "

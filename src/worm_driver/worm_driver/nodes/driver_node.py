@@ -130,9 +130,8 @@ class DriverNode(LifecycleNode):
         if hardware is None:
             return
         try:
-            warning = hardware.apply_settings(
-                driver_parameters.with_limits(hardware.settings, self)
-            )
+            settings = driver_parameters.with_limits(hardware.settings, self)
+            warning = hardware.loop.run(lambda now: hardware.robot.apply_settings(now, settings))
         except DriverError as error:
             self.get_logger().error(f"the new limits have no effect: {error}")
             return

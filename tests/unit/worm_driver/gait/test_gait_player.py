@@ -13,7 +13,7 @@ from worm_msgs.gait import Gait, Profile
 
 SETTINGS = PlayerSettings()
 GAIT = Gait(0.07, 0.4)
-READY = Observation(fins_set=True, idle_samples=100)
+READY = Observation((), idle_samples=100)
 DT = 0.01
 
 
@@ -38,7 +38,7 @@ def running(gait=GAIT, cycles=5):
 
 def test_the_rest_waits_for_ten_idle_samples():
     state = started()
-    few = Observation(fins_set=True, idle_samples=9)
+    few = Observation((), idle_samples=9)
     states = play(state, 0.0, 2.5, seen=few)
     assert states[-1][1].phase is Phase.RESTING
     now, state = states[-1]
@@ -49,7 +49,7 @@ def test_the_rest_waits_for_ten_idle_samples():
 
 def test_the_rest_waits_for_the_tracker_but_not_for_ever():
     state = started()
-    blind = Observation(fins_set=True, idle_samples=100, tracker_ready=False)
+    blind = Observation((), idle_samples=100, tracker_ready=False)
     states = play(state, 0.0, 10.0, seen=blind, until=lambda s: s.phase is Phase.RUNNING)
     assert states[-1][0] - states[-1][1].run.rest_start >= SETTINGS.rest_timeout - DT
     assert states[-1][1].message == "the tracker did not see the robot at rest before the gait"
@@ -91,7 +91,7 @@ def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(gait, cycles):
 
 def test_the_cable_is_tensioned_once_the_fins_are_set_and_rests_before_the_gait():
     state = started(SHAPED, 1)
-    moving = Observation(fins_set=False, idle_samples=0)
+    moving = Observation((11, 12), idle_samples=0)
     waiting = play(state, 0.0, 1.0, seen=moving)
     assert {s.length_change for _, s in waiting} == {0.0}
     now, state = waiting[-1]
@@ -229,7 +229,7 @@ def test_a_fault_holds_and_rejects_until_the_next_activation():
 def test_the_fins_are_set_at_rest_before_a_reverse_gait():
     state = replace(PlayerState(), direction=1)
     state = gait_player.start(state, 0.0, Gait(0.07, 0.4, -1), 1)
-    moving = Observation(fins_set=False, idle_samples=0)
+    moving = Observation((11, 12), idle_samples=0)
     states = play(state, 0.0, 1.0, seen=moving)
     assert {s.phase for _, s in states} == {Phase.FLIPPING}
     assert states[-1][1].direction == -1
@@ -241,7 +241,7 @@ def test_the_fins_are_set_at_rest_before_a_reverse_gait():
 
 def test_fins_that_do_not_arrive_are_a_fault():
     state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4, -1), 1)
-    moving = Observation(fins_set=False, idle_samples=0)
+    moving = Observation((11, 12), idle_samples=0)
     final = play(state, 0.0, 4.0, seen=moving)[-1][1]
     assert final.phase is Phase.FAULT
     assert "fins did not reach" in final.message
