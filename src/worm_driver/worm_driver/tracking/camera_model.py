@@ -7,7 +7,6 @@ tangential distortion, 4 or 5 coefficients) and ``rational_polynomial`` (8 coeff
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +21,8 @@ from worm_msgs.settings_file import FOREIGN, read_settings
 
 Array = NDArray[np.float64]
 
-#: Allowed numbers of distortion coefficients of each model.
-COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,)}
+#: Number of distortion coefficients of each model; plumb_bob may omit the last one.
+COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
 #: Largest difference between the numbers of two calibrations that are the same.
 _ROUNDING = 1e-3
 
@@ -60,11 +59,10 @@ class CameraModel:
         """
         if (self.width, self.height, self.model) != (other.width, other.height, other.model):
             return True
-        pinholes = [np.array([*c.focal, *c.centre]) for c in (self, other)]
-        # plumb_bob with four coefficients is the same as with a fifth that is 0.
-        pairs = itertools.zip_longest(self.distortion, other.distortion, fillvalue=0.0)
-        differences = [*(pinholes[1] / pinholes[0] - 1.0), *(b - a for a, b in pairs)]
-        return bool(np.abs(differences).max() > _ROUNDING)
+        return not (
+            np.allclose(other.matrix, self.matrix, rtol=_ROUNDING, atol=0.0)
+            and np.allclose(other.distortion, self.distortion, rtol=0.0, atol=_ROUNDING)
+        )
 
 
 @dataclass(frozen=True)
@@ -137,13 +135,14 @@ def make_camera_model(
         raise SetupError("a camera_matrix with skew is not supported")
     if not distortion and model in ("", "plumb_bob"):
         model, distortion = "plumb_bob", [0.0] * 5
+    if model == "plumb_bob" and len(distortion) == 4:
+        distortion = [*distortion, 0.0]  # the same lens
     if model not in COEFFICIENTS:
         raise SetupError(
             f"distortion_model {model!r} is not supported; use one of {', '.join(COEFFICIENTS)}"
         )
-    if len(distortion) not in COEFFICIENTS[model]:
-        counts = " or ".join(map(str, COEFFICIENTS[model]))
-        raise SetupError(f"{model} has {counts} coefficients, not {len(distortion)}")
+    if len(distortion) != COEFFICIENTS[model]:
+        raise SetupError(f"{model} has {COEFFICIENTS[model]} coefficients, not {len(distortion)}")
     focal, centre = (matrix[0], matrix[4]), (matrix[2], matrix[5])
     return CameraModel(width, height, focal, centre, model, tuple(distortion))
 

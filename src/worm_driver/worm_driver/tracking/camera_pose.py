@@ -66,10 +66,8 @@ def print_corners(centre: tuple[float, float, float], size: float, facing: int) 
         size: side of the black square, m.
         facing: direction of the print, see `CameraPose`.
     """
-    corners = np.tile(np.array(centre), (4, 1))
-    corners[:, 0] -= facing * size * _UNIT_CORNERS[:, 0]
-    corners[:, 2] += size * _UNIT_CORNERS[:, 1]
-    return corners
+    right, up = size * _UNIT_CORNERS.T
+    return np.array(centre) + np.column_stack([-facing * right, np.zeros(4), up])
 
 
 def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> CameraPose:
@@ -89,14 +87,18 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
     rays = vision.directions(camera, pixels)
     if not np.isfinite(rays).all():
         raise PoseError("a reference marker lies outside the range of the lens calibration")
-    candidates = sorted(
-        (
-            _candidate(setup, camera, corners_of, facing, pose)
-            for facing in (-1, 1)
-            for pose in vision.poses(_places(setup, corners_of, facing), rays)
-        ),
-        key=lambda candidate: candidate.error,
-    )
+    candidates = []
+    for facing in (-1, 1):
+        prints = [print_corners(setup.reference[n], setup.marker_size, facing) for n in corners_of]
+        places = np.concatenate(prints)
+        for rotation, shift in vision.poses(places, rays):
+            wrong = vision.project(camera, places, rotation, shift) - pixels
+            depth = float((places @ rotation.T + shift)[:, 2].mean())
+            # The markers must not be behind the camera.
+            error = float(np.sqrt((wrong**2).sum(axis=1).mean())) if depth > 0.0 else math.inf
+            error_m = error * depth / camera.focal[0] if depth > 0.0 else math.inf
+            candidates.append(CameraPose(rotation, shift, facing, error, error_m))
+    candidates.sort(key=lambda candidate: candidate.error)
     best = candidates[0]
     if not best.error_m <= _MISPLACED:
         raise PoseError(
@@ -110,30 +112,6 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
                 "move closer"
             )
     return best
-
-
-def _places(setup: TrackerSetup, corners_of: Corners, facing: int) -> Array:
-    corners = [print_corners(setup.reference[n], setup.marker_size, facing) for n in corners_of]
-    return np.concatenate(corners)
-
-
-def _candidate(
-    setup: TrackerSetup,
-    camera: CameraModel,
-    corners_of: Corners,
-    facing: int,
-    pose: tuple[Array, Array],
-) -> CameraPose:
-    rotation, shift = pose
-    places = _places(setup, corners_of, facing)
-    depth = float((places @ rotation.T + shift)[:, 2].mean())
-    if not depth > 0.0:  # the markers would be behind the camera, or the pose is NaN
-        return CameraPose(rotation, shift, facing, math.inf, math.inf)
-    wrong = vision.project(camera, places, rotation, shift) - np.concatenate(
-        list(corners_of.values())
-    )
-    error = float(np.sqrt((wrong**2).sum(axis=1).mean()))
-    return CameraPose(rotation, shift, facing, error, error * depth / camera.focal[0])
 
 
 def _angle(one: CameraPose, other: CameraPose) -> float:
@@ -240,18 +218,3 @@ class FixedCamera:
             means = {n: total / self._counts[n] for n, total in self._sums.items()}
             self._pose = find_pose(self._setup, self._camera, means)
         return self._pose
-
-
-class MovingCamera:
-    """Pose estimator for a camera that may move. It evaluates each image independently."""
-
-    def __init__(self, setup: TrackerSetup, camera: CameraModel):
-        self._setup = setup
-        self._camera = camera
-
-    def update(self, corners_of: Corners) -> PoseEstimate:
-        """Return the estimate from the reference markers of one image."""
-        try:
-            return PoseEstimate(find_pose(self._setup, self._camera, corners_of))
-        except PoseError as error:
-            return PoseEstimate(None, str(error))

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,13 +14,12 @@ from worm_driver.tracking.image_sources import (
     frames_of_video,
     times_of_folder,
 )
-from worm_driver.tracking.vision import write_image
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     for number in (1, 2, 9, 10):
-        write_image(tmp_path / f"image_{number}.png", np.full((4, 6), number, np.uint8))
+        cv2.imwrite(str(tmp_path / f"image_{number}.png"), np.full((4, 6), number, np.uint8))
     return tmp_path
 
 

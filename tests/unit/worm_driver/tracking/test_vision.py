@@ -21,12 +21,11 @@ def encoded(encoding: str) -> np.ndarray:
         colour = np.full_like(RAMP, 128)
         order = (colour, RAMP) if encoding in ("yuv422", "uyvy") else (RAMP, colour)
         return np.stack(order, axis=2).reshape(HEIGHT, -1)
-    channels = 3 if encoding in ("bgr8", "rgb8") else 4
-    return np.repeat(RAMP[:, :, None], channels, axis=2).reshape(HEIGHT, -1)
+    return np.repeat(RAMP[:, :, None], 3, axis=2).reshape(HEIGHT, -1)
 
 
 @pytest.mark.parametrize(
-    "encoding", ["mono8", "bgr8", "rgb8", "bgra8", "rgba8", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
+    "encoding", ["mono8", "bgr8", "rgb8", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
 )
 @pytest.mark.parametrize("padding", [0, 5])
 def test_every_encoding_gives_the_same_grey(encoding: str, padding: int):
@@ -51,14 +50,12 @@ def test_other_encodings_are_rejected_by_name():
         vision.grey(RAMP.ravel(), HEIGHT, WIDTH, WIDTH, "bayer_rggb8")
     with pytest.raises(ImageError, match="479 bytes"):
         vision.grey(RAMP.ravel()[:-1], HEIGHT, WIDTH, WIDTH, "mono8")
-    with pytest.raises(ImageError, match="17 bytes"):
-        vision.decode_image(b"\xff\xd8 half a picture")
 
 
 def test_the_rendered_prints_are_those_of_the_dictionary():
     for number, rows in MARKERS.items():
-        printed = vision.marker_cells("DICT_4X4_50", number)
-        assert np.array_equal(framed(rows)[1:-1, 1:-1] > 0.5, printed)
+        printed = vision.marker_image("DICT_4X4_50", number, 1)
+        assert np.array_equal(framed(rows)[1:-1, 1:-1] > 0.5, printed > 0)
 
 
 def test_corners_are_where_an_independent_camera_has_them():
@@ -92,10 +89,9 @@ def test_no_marker_no_detection():
 
 @pytest.mark.parametrize("dictionary", ["DICT_5X5_100", "DICT_APRILTAG_36h11", "DICT_6X6_250"])
 def test_other_dictionaries(dictionary):
-    cells = np.pad(vision.marker_cells(dictionary, 7), 2, constant_values=True)
-    image = (np.kron(cells, np.ones((9, 9))) * 180 + 40).astype(np.uint8)
+    printed = vision.marker_image(dictionary, 7, 9)
+    image = np.pad(printed // 2 + 60, 18, constant_values=187)
     (found,) = vision.MarkerDetector(dictionary).detect(image)
     assert found.number == 7
-    side = (len(cells) - 4) * 9
     assert found.corners[0] == pytest.approx([17.5, 17.5], abs=0.1)
-    assert found.corners[2] == pytest.approx([17.5 + side] * 2, abs=0.1)
+    assert found.corners[2] == pytest.approx([17.5 + len(printed)] * 2, abs=0.1)
