@@ -17,7 +17,7 @@ from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
-from worm_driver.virtual_robot.wire.ina219_chip import BUS, CONFIGURATION, POWER, SHUNT
+from worm_driver.virtual_robot.wire import ina219_chip as ina219
 from worm_msgs.gait import FORWARD
 from worm_msgs.robot_parameters import RobotParameters
 
@@ -25,9 +25,6 @@ Array = NDArray[np.float64]
 
 _PERIOD = 0.01  # s, time between two commands
 _AVERAGING = 0x3DDF  # 32 V, 320 mV, each value the mean of 8 conversions of 12 bit, a pair of values every 8.5 ms
-_SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
-_BUS_LSB = 4e-3  # V per raw unit of the bus voltage
-_READY = 0x0002  # bit of BUS: there is a new conversion
 # These registers have the same address in every model.
 _GOAL_POSITION = XM430_W350.registers["goal_position"]
 _TORQUE_ENABLE = XM430_W350.registers["torque_enable"]
@@ -84,7 +81,7 @@ def run_offline(
     robot = VirtualRobot(_with_fins_set(settings, direction))
     for servo in robot.servos:
         servo.write(_TORQUE_ENABLE.address, b"\x01")
-    robot.chip.write(CONFIGURATION, _AVERAGING)
+    robot.chip.write(ina219.CONFIGURATION, _AVERAGING)
     goals: list[tuple[float, int, int]] = []
     power: list[tuple[float, float, float]] = []
     homes = [servo.memory["goal_position"] for servo in robot.servos]
@@ -95,7 +92,7 @@ def run_offline(
         change = command(time - rest) if time > rest else _tensioned(time, rest) * command(0.0)
         for item, servo, home in zip(settings.cable_servos, robot.servos, homes, strict=False):
             ticks = round(-item.sign * change / item.spool_radius * PULSES_PER_RADIAN)
-            servo.write(_GOAL_POSITION.address, _GOAL_POSITION.encode(home + ticks))
+            servo.write(_GOAL_POSITION.address, _GOAL_POSITION.pack(home + ticks))
         goals.append((time, *_cable_ticks(robot.servos[0], homes[0])))
         power += _power_sample(robot, time)
     return _collect(rest, goals, power, robot.take_samples(math.inf), robot)
@@ -121,20 +118,19 @@ def _with_fins_set(settings: RobotSettings, direction: int) -> RobotSettings:
 def _cable_ticks(servo: Servo, home: int) -> tuple[int, int]:
     """Return goal and encoder position relative to the start, ticks."""
     row = XM430_W350.registers["present_position"]
-    position = row.decode(servo.read(row.address, row.size))
+    position = row.unpack(servo.read(row.address, row.size))
     return servo.memory["goal_position"] - home, position - home
 
 
 def _power_sample(robot: VirtualRobot, time: float) -> list[tuple[float, float, float]]:
     """Return one row (time, bus voltage, current) if the sensor has a new conversion, else an empty list."""
-    bus = robot.chip.read(BUS)
-    if not bus & _READY:
+    bus = robot.chip.read(ina219.BUS)
+    if not bus & ina219.CONVERSION_READY:
         return []
-    shunt = robot.chip.read(SHUNT)
-    robot.chip.read(POWER)  # clears the ready bit
-    signed = shunt - 0x10000 if shunt & 0x8000 else shunt
-    current = signed * _SHUNT_LSB / robot.settings.power_sensor.shunt
-    return [(time, (bus >> 3) * _BUS_LSB, current)]
+    shunt = ina219.signed(robot.chip.read(ina219.SHUNT))
+    robot.chip.read(ina219.POWER)  # clears the ready bit
+    current = shunt * ina219.SHUNT_LSB / robot.settings.power_sensor.shunt
+    return [(time, (bus >> 3) * ina219.BUS_LSB, current)]
 
 
 def _collect(

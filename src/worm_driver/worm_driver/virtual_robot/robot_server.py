@@ -27,7 +27,6 @@ from worm_driver import simulated_clock
 from worm_driver.power import socket_smbus as frames
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
 from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
-from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
 from worm_driver.virtual_robot.wire.faults import Fault
 
@@ -388,7 +387,7 @@ class RobotServer:
 
     def _follow_plug(self) -> None:
         """Close the serial port when a fault unplugs it, and open it again when the fault ends."""
-        unplugged = self._robot.board.active(faults.UNPLUGGED, self.now()) is not None
+        unplugged = self._robot.board.active("unplugged", self.now()) is not None
         if unplugged and self._serial is not None:
             self._selector.unregister(self._serial.master)
             self._pending = [item for item in self._pending if item.port is not self._serial]

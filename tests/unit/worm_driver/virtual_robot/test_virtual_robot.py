@@ -14,7 +14,6 @@ from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import Tracker, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import TrackerSettings
-from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_msgs.gait import FORWARD, REVERSE, Gait, Profile
 
@@ -103,7 +102,7 @@ def test_a_robot_that_is_put_back_is_where_it_started_and_runs_as_before(setting
     robot = VirtualRobot(settings)
     start = robot.plant.positions(robot.state)
     robot.state = robot.state._replace(centre=0.123, rear_groove=7, front_groove=24)
-    robot.board.add(make_fault(faults.PUT_BACK, start=0.01))
+    robot.board.add(make_fault("put_back", start=0.01))
     robot.advance(1.0)
     assert robot.plant.positions(robot.state) == pytest.approx(start, abs=1e-6)
     plain = VirtualRobot(settings)
@@ -127,7 +126,7 @@ def test_two_cable_servos_of_opposite_signs_share_the_cable(settings):
     robot.advance(2.0)
     wound = 1000 / 4096 * 2 * math.pi * first.spool_radius
     assert robot.cable_change == pytest.approx(-wound, abs=1e-4)
-    loads = [servo.surroundings.load for servo in robot.servos[:2]]
+    loads = [servo.load for servo in robot.servos[:2]]
     assert loads[0] == pytest.approx(-loads[1])
     assert loads[0] > 0.1
 

@@ -7,16 +7,15 @@ from random import Random
 
 import pytest
 
+from worm_driver.servos.registers import EXTENDED_POSITION_MODE
 from worm_driver.virtual_robot.servo.control_table import (
-    EXTENDED_POSITION_MODE,
     MODELS,
     XL330_M288,
     XL430_W250,
     XM430_W350,
 )
-from worm_driver.virtual_robot.servo.drive import OVERLOAD_ERROR, SPEED_UNIT
 from worm_driver.virtual_robot.servo.register_memory import RegisterError
-from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.servo.virtual_servo import OVERLOAD_ERROR, SPEED_UNIT, Servo
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
 
 STEP = 0.001
@@ -27,7 +26,7 @@ class Bench:
 
     def __init__(self, model=XM430_W350, start=1000.0, **settings):
         self.servo = Servo(model, {"id": 1, **settings}, start, 0.25, Random(1))
-        self.servo.surroundings.voltage = model.nominal_voltage
+        self.servo.voltage = model.nominal_voltage
         self.steps = 0
 
     @property
@@ -36,7 +35,7 @@ class Bench:
 
     def write(self, name, value):
         row = self.servo.model.registers[name]
-        self.servo.write(row.address, row.encode(value))
+        self.servo.write(row.address, row.pack(value))
 
     def rejected(self, name, value):
         with pytest.raises(RegisterError) as caught:
@@ -45,7 +44,7 @@ class Bench:
 
     def read(self, name):
         row = self.servo.model.registers[name]
-        return row.decode(self.servo.read(row.address, row.size))
+        return row.unpack(self.servo.read(row.address, row.size))
 
     def run(self, seconds):
         for _ in range(round(seconds / STEP)):
@@ -238,7 +237,7 @@ def test_the_watchdog_sleeps_while_torque_is_off():
 
 def test_a_blocked_shaft_overloads_and_only_a_reboot_helps():
     bench = extended()
-    bench.servo.surroundings.blocked = True
+    bench.servo.blocked = True
     bench.write("goal_position", 3000)
     bench.supervise(0.5)
     assert bench.read("present_position") == 1000
@@ -248,7 +247,7 @@ def test_a_blocked_shaft_overloads_and_only_a_reboot_helps():
     assert bench.servo.alert() == ALERT
     assert bench.read("torque_enable") == 0
     assert bench.rejected("torque_enable", 1) == Error.RESULT_FAIL
-    bench.servo.surroundings.blocked = False
+    bench.servo.blocked = False
     bench.servo.reboot(bench.time)
     bench.write("torque_enable", 1)
     assert bench.servo.alert() == 0
@@ -256,7 +255,7 @@ def test_a_blocked_shaft_overloads_and_only_a_reboot_helps():
 
 def test_the_current_shows_the_load():
     bench = extended()
-    bench.servo.surroundings.load = 1.0
+    bench.servo.load = 1.0
     bench.run(0.1)
     expected = 1.0 / (4.1 / 2.3) / 2.69e-3
     assert bench.read("present_current") == pytest.approx(expected, abs=5)
@@ -267,7 +266,7 @@ def test_a_loaded_shaft_is_behind_its_goal_as_there_is_no_integral_gain(gain, er
     """The stall torque, 4.1 N*m, needs full output: 885 / (800/128) = 142 pulses."""
     bench = extended()
     bench.write("position_p_gain", gain)
-    bench.servo.surroundings.load = 2.0
+    bench.servo.load = 2.0
     bench.run(0.3)
     assert 1000 - bench.read("present_position") == pytest.approx(error, abs=1.5)
     assert bench.read("position_trajectory") == 1000
@@ -282,7 +281,7 @@ def test_a_loaded_shaft_is_behind_its_goal_as_there_is_no_integral_gain(gain, er
 
 def test_a_loaded_shaft_stays_where_it_is_when_its_torque_goes_off_or_its_watchdog_fires():
     bench = extended()
-    bench.servo.surroundings.load = 0.4
+    bench.servo.load = 0.4
     bench.run(0.3)
     loaded = bench.read("present_position")
     bench.write("bus_watchdog", 1)
@@ -297,10 +296,10 @@ def test_a_loaded_shaft_stays_where_it_is_when_its_torque_goes_off_or_its_watchd
 
 def test_a_limp_shaft_gives_way_to_a_load_that_beats_its_friction():
     bench = Bench()
-    bench.servo.surroundings.load = 0.2
+    bench.servo.load = 0.2
     bench.run(1.0)
     assert bench.servo.motor.position == 1000
-    bench.servo.surroundings.load = 2.0
+    bench.servo.load = 2.0
     bench.run(1.0)
     assert bench.servo.motor.position < 900
 

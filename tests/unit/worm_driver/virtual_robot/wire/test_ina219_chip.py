@@ -15,7 +15,7 @@ class Bench:
     """Noiseless chip at constant voltages with a clock of its own."""
 
     def __init__(self, shunt=0.0, bus=12.0, noise=(0.0, 0.0)):
-        self.chip = ina219_chip.Ina219(ina219_chip.AdcNoise(*noise), Random(1))
+        self.chip = ina219_chip.Ina219(*noise, Random(1))
         self.shunt, self.bus, self.steps = shunt, bus, 0
 
     def run(self, seconds):
