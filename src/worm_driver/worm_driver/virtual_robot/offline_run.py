@@ -95,7 +95,7 @@ def run_offline(
             servo.write(_GOAL_POSITION.address, _GOAL_POSITION.pack(home + ticks))
         goals.append((time, *_cable_ticks(robot.servos[0], homes[0])))
         power += _power_sample(robot, time)
-    return _collect(rest, goals, power, robot.take_samples(math.inf), robot)
+    return _collect(rest, goals, power, robot.take_samples(), robot)
 
 
 def _tensioned(time: float, rest: float) -> float:

@@ -7,7 +7,6 @@ results.
 
 import errno
 import math
-from collections import deque
 from dataclasses import dataclass, replace
 from random import Random
 
@@ -41,13 +40,11 @@ class TrackerSample:
     Attributes:
         time: time of the exposure, s.
         rear_position, front_position: x1 and x2, m; NaN while the marker is hidden.
-        available: time at which the sample can be read, s.
     """
 
     time: float
     rear_position: float
     front_position: float
-    available: float
 
 
 class Tracker:
@@ -69,7 +66,7 @@ class Tracker:
         self._exposures += 1
         self.next_exposure = self._exposures / self._settings.rate
         positions = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]
-        return TrackerSample(time, positions[0], positions[1], time + self._settings.latency)
+        return TrackerSample(time, *positions)
 
     def _see(self, marker: int, time: float, true: float) -> float:
         # Both numbers are drawn each time, so that an occlusion does not change the noise after it.
@@ -112,7 +109,7 @@ class VirtualRobot:
         self.chip = Ina219(sensor.shunt_noise, sensor.bus_noise, self._random("sensor"))
         self._tracker = Tracker(settings.tracker, self._random("tracker"))
         self._ripple = self._random("ripple")
-        self._samples: deque[TrackerSample] = deque()
+        self._samples: list[TrackerSample] = []
         self._vanished: set[int] = set()
         self.laws = (LOOSE, LOOSE)
         self._fin_positions: list[float] = []
@@ -169,11 +166,9 @@ class VirtualRobot:
             return Answer(0)
         return Answer(0, self.chip.read(request.register).to_bytes(2, "big"))
 
-    def take_samples(self, time: float) -> list[TrackerSample]:
-        """Remove and return the camera samples that are available at a time (s)."""
-        samples = []
-        while self._samples and self._samples[0].available <= time:
-            samples.append(self._samples.popleft())
+    def take_samples(self) -> list[TrackerSample]:
+        """Remove and return the camera samples."""
+        samples, self._samples = self._samples, []
         return samples
 
     # --- one step -------------------------------------------------------------------------------
@@ -309,6 +304,6 @@ def _eeprom(servo_id: int, line: LineSettings, mode: int) -> dict[str, int]:
     return {
         "id": servo_id,
         "baud_rate": BAUD_RATES.index(line.baud_rate),
-        "return_delay_time": round(line.return_delay / 2e-6),
+        "return_delay_time": 0,
         "operating_mode": mode,
     }
