@@ -34,7 +34,7 @@ def model_of(settings: CameraSettings) -> CameraModel:
     """Return the calibration of a camera."""
     focal = (settings.focal, settings.focal)
     size = settings.width, settings.height
-    return CameraModel(*size, focal, settings.centre, "plumb_bob", settings.distortion)
+    return CameraModel(size, focal, settings.centre, "plumb_bob", settings.distortion)
 
 
 def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:

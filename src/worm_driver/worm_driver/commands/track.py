@@ -28,7 +28,7 @@ def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositio
     """Yield the positions of each image. Print events and progress on standard error."""
     detector = MarkerDetector(tracker.setup.dictionary)
     for index, frame in enumerate(frames, 1):
-        check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
+        check_size(frame.image, tracker.camera.size, frame.name)
         sample = tracker.see(detector.detect(frame.image), frame.time)
         if sample.event:
             say(f"track: {frame.time:.3f} s: {sample.event}")

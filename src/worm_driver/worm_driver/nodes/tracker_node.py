@@ -59,10 +59,9 @@ class TrackerNode(Node):
             # not match a best-effort camera; the middleware then reports incompatible QoS.
             self._subscribe(ReliabilityPolicy.RELIABLE)
         elif self._tracker is not None:
-            camera = self._tracker.camera
+            size, rate = self._tracker.camera.size, self._setup.rate
             arrival = self.create_guard_condition(self._on_arrival)
-            size = camera.width, camera.height
-            self._camera = CameraThread(texts["source"], size, self._setup.rate, arrival.trigger)
+            self._camera = CameraThread(texts["source"], size, rate, arrival.trigger)
             self._camera.start()
         self.create_timer(1.0, self._publish_report)
 
@@ -131,9 +130,8 @@ class TrackerNode(Node):
         if self._tracker is None:
             self._reject_images("no camera_info yet: the images cannot be used")
             return
-        camera = self._tracker.camera
         try:
-            check_size(image, (camera.width, camera.height), "the image")
+            check_size(image, self._tracker.camera.size, "the image")
         except ImageError as error:
             self._reject_images(str(error))
             return

@@ -32,15 +32,14 @@ class CameraModel:
     """Calibrated camera.
 
     Attributes:
-        width, height: image size, pixels.
+        size: width and height of an image, pixels.
         focal: focal length (fx, fy), pixels.
         centre: principal point (cx, cy), pixels; (0, 0) is the centre of the first pixel.
         model: distortion model, a key of COEFFICIENTS.
         distortion: distortion coefficients in the order of camera_info.
     """
 
-    width: int
-    height: int
+    size: tuple[int, int]
     focal: tuple[float, float]
     centre: tuple[float, float]
     model: str
@@ -57,7 +56,7 @@ class CameraModel:
 
         Focal lengths and principal points are compared by their ratio, distortion coefficients by their difference.
         """
-        if (self.width, self.height, self.model) != (other.width, other.height, other.model):
+        if (self.size, self.model) != (other.size, other.model):
             return True
         return not (
             np.allclose(other.matrix, self.matrix, rtol=_ROUNDING, atol=0.0)
@@ -118,10 +117,9 @@ def make_camera_model(
     Raises:
         SetupError: The camera is not calibrated, or its distortion model is not supported.
     """
-    width, height = size
     if min(size) <= 0:
         raise SetupError(
-            f"image size {width} x {height} is not valid: both must be positive integers"
+            f"image size {size[0]} x {size[1]} is not valid: both must be positive integers"
         )
     if len(matrix) != 9 or not all(map(math.isfinite, [*matrix, *distortion])):
         raise SetupError(
@@ -144,15 +142,15 @@ def make_camera_model(
     if len(distortion) != COEFFICIENTS[model]:
         raise SetupError(f"{model} has {COEFFICIENTS[model]} coefficients, not {len(distortion)}")
     focal, centre = (matrix[0], matrix[4]), (matrix[2], matrix[5])
-    return CameraModel(width, height, focal, centre, model, tuple(distortion))
+    return CameraModel(size, focal, centre, model, tuple(distortion))
 
 
 def camera_info_text(camera: CameraModel) -> str:
     """Return the content of a camera_info YAML file, as `load_camera_info` and camera_info_manager read it."""
     fx, fy, cx, cy = *camera.focal, *camera.centre
     content = {
-        "image_width": camera.width,
-        "image_height": camera.height,
+        "image_width": camera.size[0],
+        "image_height": camera.size[1],
         "camera_name": "camera",
         "camera_matrix": _matrix(3, 3, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
         "distortion_model": camera.model,

@@ -147,8 +147,7 @@ class FixedCamera:
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
         self._setup = setup
         self._camera = camera
-        self._sums: dict[int, Array] = {}
-        self._counts: dict[int, int] = {}
+        self._seen: dict[int, list[Array]] = {}  # corners to be averaged, by marker number
         self._pose: CameraPose | None = None
         self._stray: set[int] = set()
 
@@ -166,15 +165,18 @@ class FixedCamera:
             return self._explain(moved, trusted)
         self._average(trusted)
         try:
-            return PoseEstimate(self._pose_of_means())
+            if self._pose is None:
+                means = {n: np.mean(seen, axis=0) for n, seen in self._seen.items()}
+                self._pose = find_pose(self._setup, self._camera, means)
         except PoseError as error:
             return PoseEstimate(None, str(error))
+        return PoseEstimate(self._pose)
 
     def _distance(self, number: int, corners: Array) -> float:
         """Return the distance of a marker's centre from its mean position, pixels; 0 for a new marker."""
-        if number not in self._sums:
+        if number not in self._seen:
             return 0.0
-        mean = self._sums[number] / self._counts[number]
+        mean = np.mean(self._seen[number], axis=0)
         return float(np.hypot(*(corners - mean).mean(axis=0)))
 
     def _explain(self, moved: Mapping[int, float], corners_of: Corners) -> PoseEstimate:
@@ -183,38 +185,23 @@ class FixedCamera:
         ``moved`` contains the displacement of each moved marker by its number, pixels.
         """
         names = ", ".join(f"{n} by {distance:.1f} px" for n, distance in moved.items())
-        still = len(corners_of) - len(moved)
-        if len(moved) == 1 and still >= FEWEST_REFERENCES:
-            (number,) = moved
-            self._stray.add(number)
-            self._forget()
-            self._average({n: corners for n, corners in corners_of.items() if n not in self._stray})
-            event = f"reference marker {names} moved relative to the other markers. It is ignored from now on"
-            return PoseEstimate(None, f"reference marker {number} moved", event)
-        self._forget()
-        self._average(corners_of)
-        return PoseEstimate(
-            None,
-            "the camera or reference markers moved",
-            f"reference markers moved in the image ({names}): the camera, or these markers, moved",
+        problem = "the camera or reference markers moved"
+        event = (
+            f"reference markers moved in the image ({names}): the camera, or these markers, moved"
         )
-
-    def _forget(self) -> None:
-        self._sums, self._counts, self._pose = {}, {}, None
+        if len(moved) == 1 and len(corners_of) - 1 >= FEWEST_REFERENCES:
+            self._stray |= moved.keys()
+            problem = f"reference marker {names.split()[0]} moved"
+            event = f"reference marker {names} moved relative to the other markers. It is ignored from now on"
+        self._seen, self._pose = {}, None
+        self._average({n: corners for n, corners in corners_of.items() if n not in self._stray})
+        return PoseEstimate(None, problem, event)
 
     def _average(self, corners_of: Corners) -> None:
         """Add corners to the averages. Discard the pose if it is to be estimated again."""
         for number, corners in corners_of.items():
-            count = self._counts.get(number, 0) + 1
-            if count <= _AVERAGED:
-                self._sums[number] = self._sums.get(number, 0.0) + corners
-                self._counts[number] = count
-                if count & (count - 1) == 0:  # a power of 2
+            seen = self._seen.setdefault(number, [])
+            if len(seen) < _AVERAGED:
+                seen.append(corners)
+                if len(seen).bit_count() == 1:  # a power of 2
                     self._pose = None
-
-    def _pose_of_means(self) -> CameraPose:
-        """Return the pose, and estimate it first if there is none. Raises PoseError."""
-        if self._pose is None:
-            means = {n: total / self._counts[n] for n, total in self._sums.items()}
-            self._pose = find_pose(self._setup, self._camera, means)
-        return self._pose

@@ -286,7 +286,7 @@ def calibrate(views: Sequence[tuple[Array, Array]], size: tuple[int, int]) -> Ca
         places, pixels, size, None, None
     )
     camera = CameraModel(
-        *size,
+        size,
         (float(matrix[0, 0]), float(matrix[1, 1])),
         (float(matrix[0, 2]), float(matrix[1, 2])),
         "plumb_bob",

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from random import Random
 
-from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, PROTOCOL_2, XM430_W350
+from worm_driver.servos.registers import COMMON
+from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, PROTOCOL_2
 from worm_driver.virtual_robot.servo.register_memory import RegisterError
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.wire.faults import Fault, FaultBoard
@@ -20,8 +21,7 @@ from worm_driver.virtual_robot.wire.packet import (
     status_packet,
 )
 
-#: Register present_position. Its address is the same in every model.
-_POSITION = XM430_W350.registers["present_position"]
+_POSITION = COMMON["present_position"]
 #: s, longest gap between the bytes of a packet; 1.5 ms on a real line, but a pseudo-terminal is read when the scheduler
 #: permits
 _ALLOWED_GAP = 0.050

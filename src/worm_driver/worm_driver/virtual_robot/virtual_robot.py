@@ -21,7 +21,6 @@ from worm_driver.virtual_robot.virtual_bus import ServoBus, Transmission
 from worm_driver.virtual_robot.virtual_settings import (
     CableServoSettings,
     FinServoSettings,
-    LineSettings,
     RobotSettings,
     TrackerSettings,
     perturbed,
@@ -125,9 +124,15 @@ class VirtualRobot:
         return Random(f"{self.settings.seed} {self.settings.recording} {purpose}")
 
     def _make_servo(self, item: CableServoSettings | FinServoSettings, mode: int) -> Servo:
+        eeprom = {
+            "id": item.id,
+            "baud_rate": BAUD_RATES.index(self.settings.line.baud_rate),
+            "return_delay_time": 0,
+            "operating_mode": mode,
+        }
         return Servo(
             item.model,
-            _eeprom(item.id, self.settings.line, mode),
+            eeprom,
             item.start_angle * PULSES_PER_RADIAN,
             self.settings.line.boot_time,
             self._random(f"servo {item.id}"),
@@ -297,13 +302,3 @@ def _make_plant(settings: RobotSettings) -> Plant:
     seed, body = settings.seed, body_of(settings)
     rear, front = (make_grooves(body, settings.effects, 2 * seed + i) for i in range(2))
     return Plant(body, settings.effects, rear, front, settings.step, settings.conditions)
-
-
-def _eeprom(servo_id: int, line: LineSettings, mode: int) -> dict[str, int]:
-    """Return the raw EEPROM values of a servo that is set up for the robot."""
-    return {
-        "id": servo_id,
-        "baud_rate": BAUD_RATES.index(line.baud_rate),
-        "return_delay_time": 0,
-        "operating_mode": mode,
-    }

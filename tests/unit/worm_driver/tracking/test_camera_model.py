@@ -48,7 +48,7 @@ def test_a_calibration_does_not_differ_from_its_rounded_self():
     "other",
     [
         RATIONAL,
-        replace(BROWN, width=BROWN.width // 2),
+        replace(BROWN, size=(640, 720)),
         replace(BROWN, focal=(BROWN.focal[0], BROWN.focal[1] * 1.01)),
         replace(BROWN, centre=(BROWN.centre[0] + 10.0, BROWN.centre[1])),
         replace(BROWN, distortion=(BROWN.distortion[0] + 0.1, *BROWN.distortion[1:])),
