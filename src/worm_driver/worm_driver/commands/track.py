@@ -6,7 +6,6 @@ The table has one row per image: time_s, rear_position_m, front_position_m, leng
 
 import argparse
 import csv
-import json
 import math
 import sys
 from collections import Counter
@@ -70,7 +69,6 @@ def _parser() -> Parser:
         metavar="FILE.csv",
         help="CSV table to write",
     )
-    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
     return parser
 
 
@@ -80,27 +78,14 @@ def _run(options: argparse.Namespace) -> None:
         frames = frames_of_folder(options.images, tracker.setup.rate)
     else:
         frames = frames_of_video(options.video, tracker.setup.rate)
-    _report(write_table(options.output, follow(tracker, frames)), options)
+    _report(write_table(options.output, follow(tracker, frames)), options.output)
 
 
-def _report(samples: list[TrackedPositions], options: argparse.Namespace) -> None:
+def _report(samples: list[TrackedPositions], output: Path) -> None:
     complete = sum(math.isfinite(s.length) for s in samples)
     poses = [s.pose for s in samples if s.pose is not None]
-    error = poses[-1].error if poses else math.nan
-    if options.json:
-        content = {
-            "output": str(options.output),
-            "images": len(samples),
-            "seen": complete,
-            "news": [{"time_s": s.time, "message": s.event} for s in samples if s.event],
-            "reprojection_error_px": error if poses else None,
-        }
-        sys.stdout.write(json.dumps(content) + "\n")
-        return
-    fit = f"; reference markers fit within {error:.2f} px" if poses else ""
-    sys.stdout.write(
-        f"{options.output}: both modules in {complete} of {len(samples)} images{fit}\n"
-    )
+    fit = f"; reference markers fit within {poses[-1].error:.2f} px" if poses else ""
+    sys.stdout.write(f"{output}: both modules in {complete} of {len(samples)} images{fit}\n")
     reasons = Counter(s.reason for s in samples if s.reason)
     for reason, count in reasons.most_common(3):
         sys.stdout.write(f"  {count}: {reason}\n")

@@ -132,17 +132,15 @@ def _check_numbers(setup: TrackerSetup) -> None:
             f"reference: {FEWEST_REFERENCES} markers are needed, not {len(setup.reference)}: a single "
             "marker does not determine the camera's direction, and camera motion could not be detected"
         )
-    if setup.rear.number == setup.front.number:
-        raise SetupError(
-            f"rear and front have the same marker {setup.rear.number}: give each its own"
-        )
+    used = dict.fromkeys(setup.reference, "a reference")
     for name, module in (("rear", setup.rear), ("front", setup.front)):
-        if module.number in setup.reference:
+        if module.number in used:
             raise SetupError(
-                f"marker {module.number} is both {name} and a reference: give each its own"
+                f"marker {module.number} is both {used[module.number]} and {name}: give each its own"
             )
+        used[module.number] = name
     count = DICTIONARIES[setup.dictionary]
-    for number in (setup.rear.number, setup.front.number, *setup.reference):
+    for number in used:
         if number >= count:
             raise SetupError(f"marker {number}: {setup.dictionary} has 0 to {count - 1}")
 
