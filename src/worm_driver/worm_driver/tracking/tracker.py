@@ -170,16 +170,16 @@ class Tracker:
         if estimate.pose is None:
             return TrackedPositions(time, math.nan, math.nan, estimate.problem, estimate.event)
         event = estimate.event or self._misfit_event(estimate.pose)
-        positions, reasons = [], []
+        positions, reasons = {"rear": math.nan, "front": math.nan}, []
         for name, module in (("rear", self.setup.rear), ("front", self.setup.front)):
             try:
                 position = self._position(module, once, counts, estimate.pose)
                 self._check_jump(name, position, time)
+                positions[name] = position
             except HiddenError as reason:
-                position = math.nan
                 reasons.append(f"{name} marker {reason}")
-            positions.append(position)
-        return TrackedPositions(time, *positions, "; ".join(reasons), event, estimate.pose)
+        rear, front = positions["rear"], positions["front"]
+        return TrackedPositions(time, rear, front, "; ".join(reasons), event, estimate.pose)
 
     def _misfit_event(self, pose: CameraPose) -> str:
         """Return a message the first time that the reference markers fit their positions poorly; empty otherwise."""

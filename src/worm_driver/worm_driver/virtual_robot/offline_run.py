@@ -96,12 +96,27 @@ def run_offline(
             ticks = round(-item.sign * change / item.spool_radius * PULSES_PER_RADIAN)
             servo.write(_GOAL_POSITION.address, _GOAL_POSITION.pack(home + ticks))
         position = first.read(_POSITION.address, _POSITION.size)
-        ticks = first.memory["goal_position"], _POSITION.unpack(position)
-        goals.append((time, *(value - homes[0] for value in ticks)))
+        reached = _POSITION.unpack(position)
+        goals.append((time, first.memory["goal_position"] - homes[0], reached - homes[0]))
         power += _power_sample(robot, time)
     seen = [(s.time, s.rear_position, s.front_position) for s in robot.take_samples()]
-    columns = (column for rows in (goals, seen, power) for column in np.array(rows, float).T)
-    return Rehearsal(rest, *columns, robot.plant.parameters)
+    servo_time, goal, encoder = np.array(goals).T
+    tracker_time, rear, front = np.array(seen).T
+    power_time, voltage, current = np.array(power).T
+    truth = robot.plant.parameters
+    return Rehearsal(
+        rest,
+        servo_time,
+        goal,
+        encoder,
+        tracker_time,
+        rear,
+        front,
+        power_time,
+        voltage,
+        current,
+        truth,
+    )
 
 
 def _tensioned(time: float, rest: float) -> float:

@@ -254,15 +254,13 @@ class VirtualRobot:
         self.board.forget_past(time)
 
     def _load(self, time: float) -> None:
-        steeper = self.board.active("slope", time)
-        pulled = self.board.active("tether", time)
         conditions = self.settings.conditions
-        for name, fault in (("slope_deg", steeper), ("tether_n", pulled)):
-            if fault is not None:
+        for name, kind in (("slope_deg", "slope"), ("tether_n", "tether")):
+            if fault := self.board.active(kind, time):
                 low, high = CONDITION_ROWS[name]["low"], CONDITION_ROWS[name]["high"]
                 value = min(max(getattr(conditions, name) + fault.value, low), high)
                 conditions = replace(conditions, **{name: value})
-        if conditions is not self.plant.conditions and conditions != self.plant.conditions:
+        if conditions != self.plant.conditions:
             self.plant = replace(self.plant, conditions=conditions)
 
     def _surround(self, servo: Servo, time: float) -> None:
@@ -274,13 +272,10 @@ class VirtualRobot:
         servo.blocked = board.active("stalled", time, servo_id) is not None
         if board.active("overload", time, servo_id):
             servo.raise_alert(OVERLOAD_ERROR)
-        if board.active("vanished", time, servo_id):
-            if servo_id not in self._vanished:
-                self._vanished.add(servo_id)
-                servo.reboot(time)  # without supply the torque is off at once
-        elif servo_id in self._vanished:
-            self._vanished.remove(servo_id)
-            servo.reboot(time)
+        vanished = board.active("vanished", time, servo_id) is not None
+        if vanished != (servo_id in self._vanished):
+            self._vanished ^= {servo_id}
+            servo.reboot(time)  # without supply the torque is off at once
 
     def _disturb_sensor(self, time: float) -> None:
         overflow = self.board.active("ina219_overflow", time)

@@ -9,7 +9,6 @@ import pytest
 
 from worm_driver.driver_errors import ImageError
 from worm_driver.tracking.image_sources import (
-    check_size,
     frames_of_folder,
     frames_of_video,
     times_of_folder,
@@ -75,11 +74,3 @@ def test_a_file_that_is_no_film_is_rejected(folder: Path):
     (folder / "video.mp4").write_bytes(b"no video")
     with pytest.raises(ImageError, match="is it a video"):
         next(frames_of_video(folder / "video.mp4", 30.0))
-
-
-def test_images_of_another_size_than_the_calibrations_are_rejected():
-    check_size(np.zeros((720, 1280), np.uint8), (1280, 720), "a.png")
-    with pytest.raises(
-        ImageError, match=r"a.png has 640 x 480 pixels, but camera_info is for 1280 x 720"
-    ):
-        check_size(np.zeros((480, 640), np.uint8), (1280, 720), "a.png")

@@ -36,11 +36,10 @@ def test_every_encoding_gives_the_same_grey(encoding: str, padding: int):
 
 
 def test_red_green_and_blue_are_not_mixed_up():
-    pixel = np.array([[10, 100, 200]], np.uint8)
-    bgr = vision.grey(pixel.ravel(), 1, 1, 3, "bgr8")
-    rgb = vision.grey(pixel[:, ::-1].ravel(), 1, 1, 3, "rgb8")
-    assert bgr == rgb
-    assert int(bgr[0, 0]) == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
+    pixel = np.array([10, 100, 200], np.uint8)
+    grey = round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
+    assert vision.grey(pixel, 1, 1, 3, "bgr8") == grey
+    assert vision.grey(pixel[::-1], 1, 1, 3, "rgb8") == grey
 
 
 def test_other_encodings_are_rejected_by_name():
@@ -79,12 +78,6 @@ def test_the_width_of_edges_measures_their_blur():
         blurred = np.apply_along_axis(np.convolve, 1, sharp, box, mode="same")
         (found,) = detector.detect(blurred.astype(np.uint8))
         assert found.edge_width == pytest.approx(0.8 * ramp, rel=0.2, abs=0.05)
-
-
-def test_no_marker_no_detection():
-    assert (
-        vision.MarkerDetector("DICT_APRILTAG_36h11").detect(np.full((90, 120), 128, np.uint8)) == []
-    )
 
 
 @pytest.mark.parametrize("dictionary", ["DICT_5X5_100", "DICT_APRILTAG_36h11", "DICT_6X6_250"])

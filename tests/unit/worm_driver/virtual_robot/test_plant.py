@@ -94,24 +94,6 @@ def test_without_its_effects_it_is_the_model(shared):
         assert mean_power(plant, states) == pytest.approx(row["power_W"], rel=0.01), row
 
 
-def test_it_converges_with_the_step():
-    def power(step):
-        plant = plant_of(step=step)
-        return mean_power(plant, play(plant, 0.07, 0.2, 3), 3, 1)
-
-    coarse, middle, fine = (power(step) for step in (1e-3, 5e-4, 2.5e-4))
-    assert abs(middle - fine) < 0.6 * abs(coarse - middle)
-    assert abs(coarse - fine) < 0.01 * fine
-
-
-def test_rest_is_rest():
-    plant = plant_of(parameters=DRY, effects=ROUGH)
-    state = plant.at_rest()
-    state = rest(plant, state, 2.0)
-    assert plant.positions(state) == pytest.approx((0.0, PAPER.initial_length), abs=1e-12)
-    assert plant.electrical_power(state) == pytest.approx(PAPER.idle_power)
-
-
 def test_anchors_stand_in_grooves_near_their_fins():
     plant = plant_of(parameters=DRY, effects=ROUGH)
     for state in play(plant, 0.08, 0.2, 2):
@@ -303,13 +285,6 @@ def test_in_slow_water_a_gait_gains_and_costs_what_the_linearised_drag_predicts(
     assert energy[0] == pytest.approx(energy[1], rel=0.01)
 
 
-def test_still_water_brakes_a_fast_gait():
-    dry, wet = plant_of(Conditions()), plant_of(Conditions(drag_area_m2=0.02))
-    assert sum(s.mechanical_power for s in play(wet, 0.078, 0.3)) > sum(
-        s.mechanical_power for s in play(dry, 0.078, 0.3)
-    )
-
-
 # --- a length that follows from the cable's force -----------------------------------------------------
 
 
@@ -353,15 +328,6 @@ def test_it_is_the_two_mass_model_with_the_cables_force():
     expected = integrated(0.025, 0.3, times)
     found = np.array([plant.positions(state) for state in states]).T
     assert np.max(np.abs(found - expected)) < 3e-5
-
-
-def test_without_load_the_gain_is_that_of_two_springs():
-    plant = plant_of(parameters=BODY, effects=COMPLIANT)
-    state = plant.at_rest()
-    for _ in range(3000):
-        state = plant.step(state, -0.05, (LOOSE, LOOSE))
-    gain = STIFFNESS / (STIFFNESS + BODY.bellows_stiffness)
-    assert state.length_change == pytest.approx(-0.05 * gain, rel=1e-3)
 
 
 @pytest.mark.parametrize(

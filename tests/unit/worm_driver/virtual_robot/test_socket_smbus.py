@@ -25,6 +25,11 @@ byte = st.integers(0, 255)
 
 
 @pytest.fixture
+def served(serve):
+    return serve(1.0)
+
+
+@pytest.fixture
 def bus(served):
     with closing(SocketSMBus(served.socket)) as bus:
         yield bus

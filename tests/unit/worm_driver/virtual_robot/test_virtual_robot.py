@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from worm_driver.virtual_robot.offline_run import run_offline
-from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import Tracker, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import TrackerSettings
@@ -129,21 +128,6 @@ def test_two_cable_servos_of_opposite_signs_share_the_cable(settings):
     loads = [servo.load for servo in robot.servos[:2]]
     assert loads[0] == pytest.approx(-loads[1])
     assert loads[0] > 0.1
-
-
-def test_a_robot_of_small_servos_on_five_volts(settings):
-    small = {"model": XL330_M288}
-    robot = VirtualRobot(
-        replace(
-            settings,
-            cable_servos=tuple(replace(s, **small) for s in settings.cable_servos),
-            fin_servos=tuple(replace(s, **small) for s in settings.fin_servos),
-            supply=replace(settings.supply, voltage=5.0),
-        )
-    )
-    ping = bytes.fromhex("FFFFFD00010300 01 194E")
-    (answer,) = robot.receive(ping, 1.0)
-    assert answer.data[8:11] == bytes([0, 0xB0, 0x04])  # no alert, model 1200
 
 
 def turn_on(servo: Servo) -> None:
