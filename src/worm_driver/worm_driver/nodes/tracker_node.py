@@ -11,14 +11,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
 
 from worm_driver.driver_errors import ImageError, SetupError, TrackingError
 from worm_driver.nodes import driver_messages
 from worm_driver.nodes.driver_messages import PositionPublisher
 from worm_driver.tracking import vision
-from worm_driver.tracking.camera_model import make_camera_model
 from worm_driver.tracking.image_sources import CameraThread, check_size
 from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker import TrackerReport
@@ -45,20 +44,17 @@ class TrackerNode(Node):
                 f"source is {texts['source']!r}: it must be topic or a camera such as /dev/video0. "
                 "The command track processes videos and folders of images"
             )
-        self._calibration_from_topic = from_topic and self._setup.camera_info == TOPIC
-        self._tracker = None if self._calibration_from_topic else ModuleTracker(self._setup)
+        self._tracker = ModuleTracker(self._setup)
         self._report = TrackerReport(texts["source"])
         self._positions = PositionPublisher(self, 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._camera: CameraThread | None = None
         self._qos_incompatible = False
         if from_topic:
-            quality = qos_profile_sensor_data
-            self.create_subscription(CameraInfo, "camera/camera_info", self._on_info, quality)
             # An image is sent in fragments, of which a best-effort subscriber loses some. A reliable subscriber does
             # not match a best-effort camera; the middleware then reports incompatible QoS.
             self._subscribe(ReliabilityPolicy.RELIABLE)
-        elif self._tracker is not None:
+        else:
             size, rate = self._tracker.camera.size, self._setup.rate
             arrival = self.create_guard_condition(self._on_arrival)
             self._camera = CameraThread(texts["source"], size, rate, arrival.trigger)
@@ -90,23 +86,6 @@ class TrackerNode(Node):
 
     # --- images in ------------------------------------------------------------------------------
 
-    def _on_info(self, message: CameraInfo) -> None:
-        try:
-            size = int(message.width), int(message.height)
-            model = message.distortion_model
-            camera = make_camera_model(size, list(message.k), model, list(message.d))
-        except SetupError as error:
-            if self._calibration_from_topic:
-                self._reject_images(f"camera_info: {error}")
-            return
-        if self._tracker is None or (
-            self._calibration_from_topic and self._tracker.camera != camera
-        ):
-            self._tracker = ModuleTracker(self._setup, camera)
-        elif self._tracker.camera.differs_from(camera):
-            text = "the tracker uses the calibration of the setup file, which differs from that on camera_info"
-            self.get_logger().warning(text, once=True)
-
     def _on_image(self, message: Image) -> None:
         try:
             data = np.frombuffer(message.data, np.uint8)
@@ -127,9 +106,6 @@ class TrackerNode(Node):
     # --- positions out --------------------------------------------------------------------------
 
     def _see(self, image: vision.Image, stamp: Time) -> None:
-        if self._tracker is None:
-            self._reject_images("no camera_info yet: the images cannot be used")
-            return
         try:
             check_size(image, self._tracker.camera.size, "the image")
         except ImageError as error:

@@ -7,24 +7,21 @@ tangential distortion, 4 or 5 coefficients) and ``rational_polynomial`` (8 coeff
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from worm_driver.driver_errors import SetupError
-from worm_msgs.settings_file import FOREIGN, read_settings
+from worm_msgs.settings_file import FOREIGN, key, read_settings
 
 Array = NDArray[np.float64]
 
-#: Number of distortion coefficients of each model; plumb_bob may omit the last one.
+#: Number of distortion coefficients of each model; plumb_bob may omit the last one, or all.
 COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
-#: Largest difference between the numbers of two calibrations that are the same.
-_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,18 +48,6 @@ class CameraModel:
         (fx, fy), (cx, cy) = self.focal, self.centre
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
-    def differs_from(self, other: CameraModel) -> bool:
-        """Return True if another calibration differs in image size, in model, or by more than rounding in a number.
-
-        Focal lengths and principal points are compared by their ratio, distortion coefficients by their difference.
-        """
-        if (self.size, self.model) != (other.size, other.model):
-            return True
-        return not (
-            np.allclose(other.matrix, self.matrix, rtol=_ROUNDING, atol=0.0)
-            and np.allclose(other.distortion, self.distortion, rtol=0.0, atol=_ROUNDING)
-        )
-
 
 @dataclass(frozen=True)
 class _Matrix:
@@ -77,8 +62,8 @@ class CameraInfoFile:
 
     __pydantic_config__ = FOREIGN
 
-    image_width: int
-    image_height: int
+    image_width: Annotated[int, key(gt=0)]
+    image_height: Annotated[int, key(gt=0)]
     camera_matrix: _Matrix
     distortion_model: str
     distortion_coefficients: _Matrix
@@ -95,54 +80,27 @@ def load_camera_info(path: Path) -> CameraModel:
             f"{path}: No such file. Create it with calibrate_camera, or copy the camera's camera_info file there"
         )
     file = read_settings(path, CameraInfoFile, SetupError)
-    matrix, distortion = file.camera_matrix.data, file.distortion_coefficients.data
-    size = (file.image_width, file.image_height)
-    try:
-        return make_camera_model(size, matrix, file.distortion_model, distortion)
-    except SetupError as error:
-        raise SetupError(f"{path}: {error}") from None
-
-
-def make_camera_model(
-    size: tuple[int, int], matrix: list[float], model: str, distortion: list[float]
-) -> CameraModel:
-    """Return the camera described by the fields of a camera_info message.
-
-    Args:
-        size: image width and height, pixels.
-        matrix: camera matrix K, row by row, 9 values.
-        model: distortion_model.
-        distortion: distortion coefficients D.
-
-    Raises:
-        SetupError: The camera is not calibrated, or its distortion model is not supported.
-    """
-    if min(size) <= 0:
-        raise SetupError(
-            f"image size {size[0]} x {size[1]} is not valid: both must be positive integers"
-        )
-    if len(matrix) != 9 or not all(map(math.isfinite, [*matrix, *distortion])):
-        raise SetupError(
-            "camera_matrix must have nine numbers, and all numbers of the calibration must be finite"
-        )
+    matrix, model = file.camera_matrix.data, file.distortion_model or "plumb_bob"
+    distortion = file.distortion_coefficients.data
+    if len(matrix) != 9 or matrix[1] != 0.0:
+        raise SetupError(f"{path}: camera_matrix must have nine numbers, and no skew")
     if matrix[0] <= 0.0 or matrix[4] <= 0.0:
         raise SetupError(
-            "the focal length is not positive: the camera is not calibrated. Calibrate it with calibrate_camera"
+            f"{path}: the focal length is not positive: the camera is not calibrated. Calibrate it with "
+            "calibrate_camera"
         )
-    if matrix[1] != 0.0:
-        raise SetupError("a camera_matrix with skew is not supported")
-    if not distortion and model in ("", "plumb_bob"):
-        model, distortion = "plumb_bob", [0.0] * 5
-    if model == "plumb_bob" and len(distortion) == 4:
-        distortion = [*distortion, 0.0]  # the same lens
     if model not in COEFFICIENTS:
         raise SetupError(
-            f"distortion_model {model!r} is not supported; use one of {', '.join(COEFFICIENTS)}"
+            f"{path}: distortion_model {model!r} is not supported; use one of {', '.join(COEFFICIENTS)}"
         )
+    if model == "plumb_bob" and len(distortion) in (0, 4):
+        distortion = [*distortion, *[0.0] * 5][:5]  # the same lens
     if len(distortion) != COEFFICIENTS[model]:
-        raise SetupError(f"{model} has {COEFFICIENTS[model]} coefficients, not {len(distortion)}")
-    focal, centre = (matrix[0], matrix[4]), (matrix[2], matrix[5])
-    return CameraModel(size, focal, centre, model, tuple(distortion))
+        raise SetupError(
+            f"{path}: {model} has {COEFFICIENTS[model]} coefficients, not {len(distortion)}"
+        )
+    size, focal = (file.image_width, file.image_height), (matrix[0], matrix[4])
+    return CameraModel(size, focal, (matrix[2], matrix[5]), model, tuple(distortion))
 
 
 def camera_info_text(camera: CameraModel) -> str:

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from worm_driver.control.diagnostics import DiagnosticReport, Level
-from worm_driver.driver_errors import SetupError
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_model import Array, CameraModel, load_camera_info
 from worm_driver.tracking.camera_pose import DOUBTFUL, CameraPose, FixedCamera
-from worm_driver.tracking.tracker_setup import TOPIC, ModuleLine, ModuleMarker, TrackerSetup
+from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker, TrackerSetup
 from worm_driver.tracking.vision import Detection
 
 #: Largest accepted distance of a marker's centre from the modules' line, relative to the marker's side. It allows for
@@ -142,19 +141,14 @@ class Tracker:
 
     Args:
         setup: setup of the tracker.
-        camera: calibrated camera; None: that of the setup's calibration file.
 
     Raises:
-        SetupError: There is no calibrated camera.
+        SetupError: The calibration file is missing or invalid.
     """
 
-    def __init__(self, setup: TrackerSetup, camera: CameraModel | None = None):
-        if camera is None and setup.camera_info == TOPIC:
-            raise SetupError(
-                "camera_info: topic works only in tracker_node, with source: topic; name a camera_info file instead"
-            )
+    def __init__(self, setup: TrackerSetup):
         self.setup = setup
-        self.camera = camera or load_camera_info(Path(setup.camera_info))
+        self.camera = load_camera_info(Path(setup.camera_info))
         self._pose_estimator = FixedCamera(setup, self.camera)
         self._misfit_reported = False
         self._last: dict[str, tuple[float, float]] = {}

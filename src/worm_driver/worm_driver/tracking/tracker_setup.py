@@ -15,7 +15,7 @@ from worm_driver.driver_errors import SetupError
 from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.settings_file import OneOf, key, read_settings
 
-#: Value of source that selects the topic of a camera, and of camera_info that selects the topic of its calibration.
+#: Value of source that selects the topic of a camera.
 TOPIC = "topic"
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
@@ -86,8 +86,7 @@ class TrackerSetup:
         rear, front: markers of the modules.
         line: line along which the centres of the modules' markers move.
         reference: centre (x, y, z) of each marker fixed to the pipe, m, by marker number.
-        camera_info: path of the calibration file, in a setup file relative to it; "topic" if a topic describes the
-            camera.
+        camera_info: path of the calibration file, in a setup file relative to it.
         rate: frame rate, Hz, assumed for images without timestamps and requested from a camera; 0 if not given.
         delay: delay from exposure to stamp, s.
     """
@@ -120,8 +119,6 @@ def load_setup(path: Path) -> TrackerSetup:
         _check_places(setup)
     except SetupError as error:
         raise SetupError(f"{path}: {error}") from None
-    if setup.camera_info == TOPIC:
-        return setup
     return replace(setup, camera_info=str(path.parent / setup.camera_info))
 
 

@@ -38,26 +38,6 @@ def test_a_missing_fifth_coefficient_is_zero(tmp_path):
     assert load_camera_info(path).distortion == (*BROWN.distortion[:4], 0.0)
 
 
-def test_a_calibration_does_not_differ_from_its_rounded_self():
-    rounded = replace(BROWN, focal=(BROWN.focal[0] * 1.0005, BROWN.focal[1]))
-    assert not BROWN.differs_from(BROWN)
-    assert not BROWN.differs_from(rounded)
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        RATIONAL,
-        replace(BROWN, size=(640, 720)),
-        replace(BROWN, focal=(BROWN.focal[0], BROWN.focal[1] * 1.01)),
-        replace(BROWN, centre=(BROWN.centre[0] + 10.0, BROWN.centre[1])),
-        replace(BROWN, distortion=(BROWN.distortion[0] + 0.1, *BROWN.distortion[1:])),
-    ],
-)
-def test_a_calibration_with_another_number_or_model_differs(other):
-    assert BROWN.differs_from(other)
-
-
 @pytest.mark.parametrize("camera", [BROWN, RATIONAL], ids=lambda c: c.model)
 def test_directions_are_the_inverse_of_projecting(camera: CameraModel):
     columns, rows = np.meshgrid(np.linspace(0, 1279, 9), np.linspace(0, 719, 7))
@@ -85,7 +65,7 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"image_width": 0}, "0 x 720"),
+        ({"image_width": 0}, "image_width.*0"),
         ({"camera_matrix": {"data": [0.0] * 9}}, "the camera is not calibrated"),
         ({"camera_matrix": {"data": [1.0] * 8}}, "camera_matrix.* nine "),
         ({"camera_matrix": {"data": [900.0, 2.0, 640.0, 0, 900.0, 360.0, 0, 0, 1.0]}}, "skew"),

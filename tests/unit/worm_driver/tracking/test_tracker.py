@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_rig import LENGTH, SETTINGS, PaperCamera, model_of, setup_of, turned
+from camera_rig import LENGTH, SETTINGS, PaperCamera, setup_of, turned
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -104,10 +104,6 @@ def test_a_blurred_reference_marker_is_no_reference():
 
 
 def test_a_calibration_is_required():
-    from_topic = setup_of(SETTINGS, camera_info="topic")
-    with pytest.raises(SetupError, match="camera_info"):
-        Tracker(from_topic)
-    assert Tracker(from_topic, model_of(SETTINGS)).camera == Tracker(setup_of(SETTINGS)).camera
     with pytest.raises(SetupError, match=r"lost.yaml.*No such file.*calibrate_camera"):
         Tracker(setup_of(SETTINGS, camera_info="lost.yaml"))
 

@@ -43,10 +43,6 @@ def test_a_good_one(write):
     assert april.dictionary == "DICT_APRILTAG_36h11"
 
 
-def test_the_calibration_may_come_with_the_images(write):
-    assert load_setup(write(GOOD.replace("camera.yaml", "topic"))).camera_info == "topic"
-
-
 @pytest.mark.parametrize(
     ("old", "new", "facts"),
     [

@@ -94,23 +94,6 @@ def test_without_its_effects_it_is_the_model(shared):
         assert mean_power(plant, states) == pytest.approx(row["power_W"], rel=0.01), row
 
 
-def test_anchors_stand_in_grooves_near_their_fins():
-    plant = plant_of(parameters=DRY, effects=ROUGH)
-    for state in play(plant, 0.08, 0.2, 2):
-        for position, groove in zip(
-            plant.positions(state), (state.rear_groove, state.front_groove), strict=True
-        ):
-            assert isinstance(groove, int)
-            assert abs(position - groove * PAPER.pitch) < 0.0175 + 0.002
-
-
-def test_loose_fins_do_not_carry_the_robot_away():
-    plant = plant_of(parameters=DRY, effects=ROUGH)
-    states = play(plant, 0.07, 0.2, 3, law=LOOSE)
-    centre = [sum(plant.positions(state)) / 2 for state in states]
-    assert max(centre) - min(centre) < PAPER.pitch
-
-
 def test_the_slack_comes_back_after_a_rest():
     plant = plant_of(parameters=DRY, effects=ROUGH)
     state = play(plant, 0.07, 0.2, 1)[-1]
@@ -249,19 +232,6 @@ def test_a_fault_leaves_the_conditions_admissible(settings):
     robot = VirtualRobot(replace(settings, conditions=Conditions(5.0, 2.0)), FaultBoard(faults))
     robot.advance(0.1)
     assert robot.plant.conditions == Conditions(90.0, 0.0)
-
-
-@pytest.mark.parametrize("effects", [NO_EFFECTS, COMPLIANT])
-@pytest.mark.parametrize("flow", [-0.8, 0.8])
-def test_flowing_water_loads_each_resting_module_with_half_of_rho_c_a_times_the_flow_squared(
-    flow, effects
-):
-    water = Conditions(flow_m_per_s=flow, drag_area_m2=0.004)
-    load = 0.5 * 998.2 * 0.004 * flow * abs(flow)
-    same = replace(EVEN, rear_load=load, front_load=load)
-    in_water, loaded = plant_of(water, EVEN, effects), plant_of(Conditions(), same, effects)
-    found = in_water.positions(in_water.at_rest()), loaded.positions(loaded.at_rest())
-    assert found[0] == pytest.approx(found[1], abs=2e-7)
 
 
 def test_in_slow_water_a_gait_gains_and_costs_what_the_linearised_drag_predicts():

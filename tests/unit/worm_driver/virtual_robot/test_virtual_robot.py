@@ -83,20 +83,6 @@ def test_what_the_instruments_of_a_rehearsal_see(settings):
     assert 5 < np.max(error) < 100
 
 
-def test_fins_between_their_angles_hold_nothing(settings):
-    between = tuple(replace(fin, start_angle=3.14) for fin in settings.fin_servos)
-    robot = VirtualRobot(replace(settings, fin_servos=between))
-    cable = robot.servos[0]
-    turn_on(cable)
-    robot.advance(0.1)
-    set_goal(cable, 4700)
-    robot.advance(1.5)
-    rear, front = robot.plant.positions(robot.state)
-    # No module is held: both move towards the middle.
-    assert rear > 0.01
-    assert front < settings.body.initial_length - 0.01
-
-
 def test_a_robot_that_is_put_back_is_where_it_started_and_runs_as_before(settings):
     robot = VirtualRobot(settings)
     start = robot.plant.positions(robot.state)
