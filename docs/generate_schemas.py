@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from worm_driver.tracking.camera_model import CameraInfoFile
-from worm_driver.tracking.tracker_setup import SetupFile
+from worm_driver.tracking.tracker_setup import TrackerSetup
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.robot_parameters import ParameterFileContent
@@ -63,7 +63,7 @@ def _mapping(properties: dict[str, Any], **more: Any) -> dict[str, Any]:
 SCHEMAS: dict[Path, dict[str, Any]] = {
     _DRIVER / "config/driver.schema.json": parameter_file_schema("driver", DriverFile),
     _WITHIN / "camera_info.schema.json": json_schema(CameraInfoFile),
-    _WITHIN / "tracker.schema.json": json_schema(SetupFile),
+    _WITHIN / "tracker.schema.json": json_schema(TrackerSetup),
     _WITHIN / "virtual_robot.schema.json": json_schema(RobotSettings),
     ROOT / "src/worm_model/config/parameters.schema.json": json_schema(ParameterFileContent),
     ROOT / "src/worm_optimizer/config/study.schema.json": json_schema(StudyFile),

@@ -71,7 +71,7 @@ CONFINED = {
     "visualization_msgs": NODES,
     "geometry_msgs": NODES,
     "builtin_interfaces": NODES,
-    "dynamixel_sdk": ["worm_driver/servos/servo_bus.py"],
+    "dynamixel_sdk": ["worm_driver/servos/servo_bus.py", "*/wire/packet.py"],
     "cv2": ["worm_driver/tracking/vision.py"],
     "smbus2": ["worm_driver/power/i2c.py"],
     "pymoo": ["worm_optimizer/search/nsga2.py"],

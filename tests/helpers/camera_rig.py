@@ -34,11 +34,11 @@ def model_of(settings: CameraSettings) -> CameraModel:
     """Return the calibration of a camera."""
     focal = (settings.focal, settings.focal)
     size = settings.width, settings.height
-    return CameraModel(*size, focal, settings.centre, "plumb_bob", settings.distortion)
+    return CameraModel(size, focal, settings.centre, "plumb_bob", settings.distortion)
 
 
 def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
-    """Return the setup that a lab would write for a camera's rig."""
+    """Return the setup that a lab would write for a rig before the camera of `SETTINGS`."""
     setup = TrackerSetup(
         dictionary="DICT_4X4_50",
         marker_size=settings.marker_size,
@@ -46,7 +46,7 @@ def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
         front=ModuleMarker(1, 0.0),
         line=ModuleLine(*settings.module_line),
         reference=settings.reference,
-        camera=model_of(settings),
+        camera_info=str(SETUP_FILE.with_name("camera_info.yaml")),
     )
     return replace(setup, **changes)  # type: ignore[arg-type]
 

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera images of a rig, rendered for the tests of the tracker.
 
-The geometry shares no code with the tracker that processes the images. Each pixel's ray is intersected with the plane
-of a print (a printed marker). The reflectance of the print is averaged over the pixel and over the exposure. It is
-constant in each cell of the print, so both averages are differences of its integral. Edges are therefore exact to a
-fraction of a pixel without sampling.
+The geometry shares no code with the tracker that processes the images. Each pixel is the mean over several rays, spread
+over its area and over the exposure. Each ray is intersected with the plane of a print (a printed marker).
 """
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +18,15 @@ Window = tuple[slice, slice]
 Pair = tuple[float, float]
 Point = tuple[float, float, float]
 
+WHOLE = (slice(None), slice(None))
 _PAPER, _INK = 1.0, 0.07  # reflectances of a print
 # Reflectances of a module, of the pipe's wall and beyond the pipe.
 _MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72
 _MODULE_SIZE = (0.048, 0.062)  # visible part of a module along x and z, m
 # Number of fixed-point iterations that remove the distortion. The error is well below a thousandth of a pixel.
 _UNDISTORTIONS = 25
-_EXPOSURE_PARTS = 3  # number of equal parts of an exposure
+_EXPOSURE_PARTS = 3  # number of moments of an exposure
+_RAYS = 4  # rays of a pixel along a row and along a column
 
 
 def framed(rows: Sequence[str]) -> Array:
@@ -116,86 +116,22 @@ def axes_of(settings: CameraSettings) -> Array:
 
 
 class Pattern:
-    """Print of rectangular cells. In its plane, the centre is (0, 0), u points right and v up, m."""
+    """Print of rectangular cells, whose reflectances are given row by row from the top.
 
-    def __init__(self, cells: Array, cell: tuple[float, float]) -> None:
-        """Create a print.
-
-        Args:
-            cells: reflectances, row by row from the top.
-            cell: size of a cell along u and v, m.
-        """
-        rows, columns = cells.shape
-        self.half = (columns * cell[0] / 2.0, rows * cell[1] / 2.0)
-        self._cell = cell
-        # Integral of the reflectance over the area to the left of and below each corner, in units of a cell's area.
-        self._sums = np.pad(np.cumsum(np.cumsum(cells[::-1], axis=0), axis=1), ((1, 0), (1, 0)))
-
-    def average(self, u: Array, v: Array, du: Array, dv: Array) -> tuple[Array, Array]:
-        """Return the mean reflectance of the print in rectangles, and the share of each rectangle that it covers.
-
-        Args:
-            u, v: centres of the rectangles, m.
-            du, dv: sizes of the rectangles, m.
-        """
-        left, right = (self._along(u + sign * du / 2.0, 0) for sign in (-1, 1))
-        low, high = (self._along(v + sign * dv / 2.0, 1) for sign in (-1, 1))
-        inside = (right - left) * (high - low)
-        whole = (
-            self._at(right, high)
-            - self._at(left, high)
-            - self._at(right, low)
-            + self._at(left, low)
-        )
-        share = inside * self._cell[0] * self._cell[1] / (du * dv)
-        return np.divide(whole, inside, out=np.zeros_like(whole), where=inside > 0.0), share
-
-    def _along(self, place: Array, axis: int) -> Array:
-        count = self._sums.shape[1 - axis] - 1
-        return np.clip((place + self.half[axis]) / self._cell[axis], 0.0, count)
-
-    def _at(self, column: Array, row: Array) -> Array:
-        """Return the integral of the reflectance to the left of and below positions (cells)."""
-        c = np.minimum(column.astype(int), self._sums.shape[1] - 2)
-        r = np.minimum(row.astype(int), self._sums.shape[0] - 2)
-        fc, fr = column - c, row - r
-        s = self._sums
-        low = s[r, c] * (1.0 - fc) + s[r, c + 1] * fc
-        high = s[r + 1, c] * (1.0 - fc) + s[r + 1, c + 1] * fc
-        return low * (1.0 - fr) + high * fr
-
-
-class Footprints(NamedTuple):
-    """Footprints of pixels on a plane: centre (x, z) and size (m), each of shape (rows, columns)."""
-
-    x: Array
-    z: Array
-    width: Array
-    height: Array
-
-
-def _put(
-    scene: Array,
-    footprints: Footprints,
-    pattern: Pattern,
-    centre: tuple[float, float],
-    sweep: float,
-) -> None:
-    """Draw a pattern with its centre at (x, z), m, into a scene of reflectances.
-
-    ``sweep`` is the pattern's motion along x during the exposure, m.
+    In its plane, the centre is (0, 0), u points right and v up, m. ``cell`` is the size of a cell along u and v, m.
     """
-    u, v = footprints.x - centre[0], footprints.z - centre[1]
-    near = (np.abs(u) < pattern.half[0] + footprints.width + sweep) & (
-        np.abs(v) < pattern.half[1] + footprints.height
-    )
-    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
-    if not rows.size:
-        return
-    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    sizes = footprints.width[part] + sweep, footprints.height[part]
-    reflectance, share = pattern.average(u[part], v[part], *sizes)
-    scene[part] = scene[part] * (1.0 - share) + reflectance * share
+
+    def __init__(self, cells: Array, cell: Pair) -> None:
+        self._cells, self._cell = cells, np.array(cell)
+        self.half = self._cell * cells.shape[::-1] / 2.0
+
+    def over(self, behind: Array, u: Array, v: Array) -> Array:
+        """Return the reflectance at points of the plane (m), which beyond the print is that of the scene behind it."""
+        rows, columns = self._cells.shape
+        column = np.floor((u + self.half[0]) / self._cell[0]).astype(int)
+        row = np.floor((self.half[1] - v) / self._cell[1]).astype(int)
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        return np.where(inside, self._cells[row * inside, column * inside], behind)
 
 
 class RenderedCamera:
@@ -205,6 +141,7 @@ class RenderedCamera:
         self.settings = settings
         self._random = np.random.default_rng(seed)
         self._rays = self._pixel_rays()
+        self._steps = np.gradient(self._rays, axis=1), np.gradient(self._rays, axis=0)
         self._light = self._lighting()
         self._gain, self._glare = self._acrylic()
         cell = settings.marker_size / 6.0
@@ -232,13 +169,33 @@ class RenderedCamera:
             y = (bent_y - p1 * (r2 + 2.0 * y * y) - 2.0 * p2 * x * y) / radial
         return np.stack([x, y, np.ones_like(x)], axis=2) @ axes_of(self.settings)
 
-    def _plane(self, y: float, window: Window) -> tuple[Array, Array]:
-        """Return x and z (m) of the point of the plane at y (m) that each pixel of a window shows."""
-        rays, camera = self._rays[window], self.settings.position
+    def _plane(self, y: float, window: Window, right: float, down: float) -> tuple[Array, Array]:
+        """Return x and z (m) of the points of the plane at y (m) that the pixels of a window show.
+
+        ``right`` and ``down`` (pixels) are the distance of the rays from the centres of the pixels.
+        """
+        camera = self.settings.position
+        step = right * self._steps[0][window] + down * self._steps[1][window]
+        rays = self._rays[window] + step
         along = (y - camera[1]) / rays[..., 1]
         return camera[0] + along * rays[..., 0], camera[2] + along * rays[..., 2]
 
-    def _window(self, centre: tuple[float, float, float], half: tuple[float, float]) -> Window:
+    def scene(
+        self, behind: Array, window: Window, y: float, pattern: Pattern, centres: Array
+    ) -> Array:
+        """Return the reflectances in a window with a print in the plane at y (m).
+
+        ``centres`` are the places (x, z) of its centre during the exposure, shape (moments, 2), m.
+        """
+        spread = self.settings.pixel_spread * ((np.arange(_RAYS) + 0.5) / _RAYS - 0.5)
+        total = np.zeros(behind.shape)
+        for right, down in itertools.product(spread, spread):
+            x, z = self._plane(y, window, right, down)
+            for centre in centres:
+                total += pattern.over(behind, x - centre[0], z - centre[1])
+        return total / (_RAYS * _RAYS * len(centres))
+
+    def _window(self, centre: tuple[float, float, float], half: Sequence[float] | Array) -> Window:
         """Return the pixels that can contain a rectangle with a centre (x, y, z) and half sizes along x and z, m."""
         s, axes, (x, y, z) = self.settings, axes_of(self.settings), centre
         corners = np.array(
@@ -265,7 +222,7 @@ class RenderedCamera:
     def _acrylic(self) -> tuple[Array, Array]:
         """Return the transmission of the pipe's front wall and the grey levels of its reflections."""
         s = self.settings
-        x, z = self._plane(-s.pipe_radius, (slice(None), slice(None)))
+        x, z = self._plane(-s.pipe_radius, WHOLE, 0.0, 0.0)
         within = np.abs(z) < s.pipe_radius
         ridge = 0.5 + 0.5 * np.cos(2.0 * np.pi * x / s.ridge_pitch)
         gain = np.where(within, 1.0 - (1.0 - s.ridge_transmission) * ridge**4, 1.0)
@@ -276,15 +233,12 @@ class RenderedCamera:
 
     def _background(self) -> Array:
         s = self.settings
-        everything = (slice(None), slice(None))
-        _, height = self._plane(-s.pipe_radius, everything)
+        _, height = self._plane(-s.pipe_radius, WHOLE, 0.0, 0.0)
         scene = np.where(np.abs(height) < s.pipe_radius, _WALL, _BACKGROUND)
         for number, (x, y, z) in s.reference.items():
             window = self._window((x, y, z), self._prints[number].half)
-            part = scene[window]
-            if min(part.shape) < 2:
-                continue  # out of the image
-            _put(part, self.footprints(y, window), self._prints[number], (x, z), 0.0)
+            centre = np.array([[x, z]])
+            scene[window] = self.scene(scene[window], window, y, self._prints[number], centre)
         return scene
 
     # --- moving parts -----------------------------------------------------------------------------
@@ -301,40 +255,21 @@ class RenderedCamera:
         )
 
     def _image(self, path: Array) -> Image:
-        """Return the image for x1 and x2 (m) at the centres of equal parts of the exposure, shape (parts, 2)."""
-        levels = self._empty.copy()
-        for marker, centres in enumerate(path.T):
-            if np.isfinite(centres).all():
-                self._show(levels, marker, centres)
+        """Return the image for x1 and x2 (m) at moments of the exposure, shape (moments, 2)."""
+        levels, (y, z) = self._empty.copy(), self.settings.module_line
+        for number, xs in enumerate(path.T):
+            if not np.isfinite(xs).all():
+                continue
+            scene, middle = self._still.copy(), xs.mean()
+            for each, centres in ((self._body, xs[:1]), (self._prints[number], xs)):
+                window = self._window((middle, y, z), each.half + np.ptp(xs))
+                places = np.column_stack([centres, np.full(len(centres), z)])
+                scene[window] = self.scene(scene[window], window, y, each, places)
+            window = self._window((middle, y, z), self._body.half + np.ptp(xs))
+            levels[window] = self._exposed(scene[window], window)
         return self._digitise(levels)
 
-    def _show(self, levels: NDArray[np.float32], number: int, centres: Array) -> None:
-        """Draw a module and its marker, averaged over the positions (m) of the marker's centre during the exposure."""
-        y, z = self.settings.module_line
-        middle, sweep = float(centres.mean()), float(np.ptp(centres))
-        part = sweep / max(len(centres) - 1, 1)
-        half = (_MODULE_SIZE[0] / 2.0 + sweep, _MODULE_SIZE[1] / 2.0)
-        window = self._window((middle, y, z), half)
-        if min(levels[window].shape) < 2:
-            return  # out of the image
-        footprints = self.footprints(y, window)
-        behind = self._still[window].copy()
-        _put(behind, footprints, self._body, (middle, z), sweep + part)
-        sums = np.zeros(footprints.x.shape)
-        for centre in centres:
-            scene = behind.copy()
-            _put(scene, footprints, self._prints[number], (float(centre), z), part)
-            sums += scene
-        levels[window] = self._exposed(sums / len(centres), window)
-
-    def footprints(self, y: float, window: Window) -> Footprints:
-        """Return the footprints of a window's pixels on a plane at y (m)."""
-        x, z = self._plane(y, window)
-        spread = self.settings.pixel_spread
-        widths = spread * np.abs(np.gradient(x, axis=1)), spread * np.abs(np.gradient(z, axis=0))
-        return Footprints(x, z, *widths)
-
-    def _exposed(self, scene: Array, window: Window = (slice(None), slice(None))) -> Array:
+    def _exposed(self, scene: Array, window: Window = WHOLE) -> Array:
         """Return the grey levels of a scene of reflectances, without noise."""
         return scene * self._light[window] * self._gain[window] + self._glare[window]
 

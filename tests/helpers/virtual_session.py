@@ -57,7 +57,7 @@ class Played:
 
 def virtual_settings(seed: int = 1, **changes: object) -> RobotSettings:
     """Return the settings of the installed virtual robot with another seed; ``changes`` apply to its sections."""
-    return replace(installed_robot().with_seed(seed), **changes)
+    return replace(installed_robot(), seed=seed, **changes)
 
 
 class _Rig(Rig):
@@ -158,7 +158,7 @@ class Session:
                 return
 
     def _note(self) -> None:
-        rig, now = self.rig, self.rig.clock.now
+        rig = self.rig
         for snapshot in rig.snapshots:
             self._note_snapshot(snapshot)
         for sample in rig.samples:
@@ -166,7 +166,7 @@ class Session:
                 self._add(SampleKind.POWER, sample.time, sample.power)
         rig.valid = rig._valid_samples()
         rig.samples.clear()
-        for sample in rig.virtual.take_samples(now):
+        for sample in rig.virtual.take_samples():
             if self.camera:
                 rear, front = sample.rear_position, sample.front_position
                 self._add(SampleKind.POSITION, sample.time, rear, front)

@@ -7,13 +7,11 @@ from array import array
 import numpy as np
 import pytest
 from camera_rig import LENGTH, SETTINGS, SETUP_FILE
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import TIMEOUT_S
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rendered_images import RenderedCamera
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import Image
 
-from worm_driver.tracking.vision import write_image
 from worm_msgs.msg import BodyLength, Tracker
 
 BEST_EFFORT = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -77,42 +75,3 @@ def test_positions_carry_the_stamps_of_the_images(processes, probe, pictures):
     assert 1003 not in {m.header.stamp.sec for m in lengths}
     node.interrupt()
     assert node.wait(TIMEOUT_S) == 0
-
-
-def test_compressed_images_and_refusals_by_name(processes, probe, pictures, tmp_path):
-    start(processes, image_transport="compressed")
-    positions = probe.collect(Tracker, "tracker")
-    reported = probe.collect(DiagnosticArray, "/diagnostics")
-    topic = "camera/image_raw/compressed"
-    publisher = probe.node.create_publisher(CompressedImage, topic, 5)
-    wrong = CompressedImage(format="jpeg", data=array("B", b"no image"))
-
-    def rejected():
-        return any(
-            s.level == DiagnosticStatus.ERROR and "8 bytes" in s.message
-            for m in reported
-            for s in m.status
-        )
-
-    send_until(probe, publisher, wrong, rejected, "refusal")
-    write_image(tmp_path / "picture.jpg", pictures[1])
-    good = CompressedImage(format="jpeg", data=array("B", (tmp_path / "picture.jpg").read_bytes()))
-    send_until(probe, publisher, good, lambda: positions, "position")
-    assert positions[-1].rear_position == pytest.approx(0.001, abs=4e-4)
-
-
-def test_a_folder_of_images_is_played(processes, probe, pictures, tmp_path):
-    for index, picture in enumerate([pictures[2]] * 200):
-        if index == 0:
-            write_image(tmp_path / "0.png", picture)
-        else:
-            (tmp_path / f"{index}.png").symlink_to(tmp_path / "0.png")
-    times = "".join(f"{index}.png,{0.1 * index}\n" for index in range(200))
-    (tmp_path / "times.csv").write_text("file,time_s\n" + times)
-    positions = probe.collect(Tracker, "tracker")
-    start(processes, source=str(tmp_path))
-    probe.wait_for(lambda: len(positions) >= 5, "positions")
-    stamps = [m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in positions]
-    steps = np.diff(stamps) / 0.1
-    assert steps == pytest.approx(np.round(steps), abs=0.05)  # images are dropped, never shifted
-    assert positions[-1].rear_position == pytest.approx(0.002, abs=3e-4)

@@ -171,11 +171,7 @@ BAD_WITH_ROS = [
     (RECORD, "-a --note 'pipe=\udcff'", "UTF-8"),
     (RECORD, "-a -p frobnicate:=1", "no parameter frobnicate"),
     (TRACKER_NODE, "-p setup_file:=/none.yaml", "tracker: /none.yaml: "),
-    (
-        TRACKER_NODE,
-        f"-p setup_file:={SETUP_FILE} -p image_transport:=theora",
-        "one of raw, compressed",
-    ),
+    (TRACKER_NODE, f"-p setup_file:={SETUP_FILE} -p source:=run.mp4", "source is 'run.mp4'"),
     (TWIN_NODE, "-p parameter_file:=bad.yaml", "did you mean rear_mass"),
     (VIRTUAL_ROBOT, "--directory r --fault fire", "no fault 'fire'"),
     (VIRTUAL_ROBOT, "--directory r --parameters /nowhere.yaml", "No such file"),

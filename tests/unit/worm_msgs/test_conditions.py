@@ -28,9 +28,8 @@ def by_the_model(values, tmp_path):
 
 def by_the_options_of_the_virtual_robot(values, tmp_path):
     options = ["--directory", str(tmp_path), *options_of(values)]
-    return virtual_robot_node.make_robot(
-        virtual_robot_command.parse_arguments(options)
-    ).plant.conditions
+    given = virtual_robot_command._parser().parse_args(options)
+    return virtual_robot_node.make_robot(given).plant.conditions
 
 
 def by_the_file_of_the_virtual_robot(values, tmp_path):

@@ -4,6 +4,7 @@
 import argparse
 import csv
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 
@@ -47,7 +48,7 @@ def _write(path: Path, column: str, rows: Readings) -> None:
 def _run(options: argparse.Namespace) -> None:
     settings = load_settings(options.parameters)
     if options.seed is not None:
-        settings = settings.with_seed(options.seed)
+        settings = replace(settings, seed=options.seed)
     body = body_of(settings)
     options.folder.mkdir(parents=True, exist_ok=True)
     random = Random(f"{settings.seed} bench")

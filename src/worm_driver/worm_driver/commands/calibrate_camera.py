@@ -4,6 +4,7 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -87,12 +88,8 @@ def _images(options: argparse.Namespace) -> Iterator[Image]:
         # The times of the images are not used, so the rate does not matter.
         yield from (frame.image for frame in frames_of_folder(options.images, 1.0))
         return
-    video = VideoSource(options.video)
-    try:
-        while (image_and_time := video.read()) is not None:
-            yield image_and_time[0]
-    finally:
-        video.close()
+    with closing(VideoSource(options.video)) as video:
+        yield from (image for image, _ in video.images())
 
 
 def _parser() -> Parser:

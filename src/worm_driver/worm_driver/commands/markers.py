@@ -3,15 +3,14 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from worm_driver.commands.driver_command import new_file, run_command
 from worm_driver.driver_errors import SetupError
 from worm_driver.tracking.tracker_setup import TrackerSetup, load_setup
-from worm_driver.tracking.vision import Board, marker_cells
+from worm_driver.tracking.vision import Board, marker_image
 from worm_msgs.command_parser import Parser
 
 #: Paper sizes: width and height, m.
@@ -25,46 +24,20 @@ _HEAD = 0.035  # m; height of the title, the ruler and the text below it
 _RULER = 0.1  # m; length of the line for checking the scale
 _BOARD_PIXELS = 200  # pixels per square of the board
 _TEXT = 8  # points; size of the text
-# End of the instruction below the ruler.
-_MARKER_REMEDY = "set marker_size_m of the setup file to its side"
+
+Point = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class MarkerLabel:
-    """Marker to print: number and label."""
-
-    number: int
-    text: str
-
-
-def _markers(setup: TrackerSetup) -> list[MarkerLabel]:
-    """Return the markers of a rig."""
-    markers = [
-        MarkerLabel(setup.rear.number, "rear module"),
-        MarkerLabel(setup.front.number, "front module"),
+def _markers(setup: TrackerSetup) -> list[tuple[int, str]]:
+    """Return number and label of each marker of a rig."""
+    return [
+        (setup.rear.number, "rear module"),
+        (setup.front.number, "front module"),
+        *(
+            (number, f"on the pipe at x {x:g}, y {y:g}, z {z:g} m")
+            for number, (x, y, z) in setup.reference.items()
+        ),
     ]
-    for number, (x, y, z) in setup.reference.items():
-        markers.append(MarkerLabel(number, f"on the pipe at x {x:g}, y {y:g}, z {z:g} m"))
-    return markers
-
-
-def _pages(
-    markers: Sequence[MarkerLabel], size: float, paper: tuple[float, float]
-) -> Iterator[list[tuple[MarkerLabel, float, float]]]:
-    """Yield, for each page, its markers with the lower left corners (x, y) of their black squares on the page, m."""
-    pitch_x, pitch_y = max(1.6 * size, 0.045), 1.5 * size + 0.012
-    width, height = paper[0] - 2.0 * _MARGIN, paper[1] - 2.0 * _MARGIN - _HEAD
-    columns, rows = int(width / pitch_x), int(height / pitch_y)
-    if not columns or not rows:
-        raise SetupError(f"a marker of {size:g} m does not fit on the paper")
-    for start in range(0, len(markers), columns * rows):
-        page = []
-        for index, item in enumerate(markers[start : start + columns * rows]):
-            row, column = divmod(index, columns)
-            x = _MARGIN + column * pitch_x + 0.25 * size
-            y = paper[1] - _MARGIN - _HEAD - (row + 1) * pitch_y + 0.012 + 0.25 * size
-            page.append((item, x, y))
-        yield page
 
 
 class _Sheet:
@@ -90,8 +63,8 @@ class _Sheet:
     def text(self, x: float, y: float, text: str, **style: Any) -> None:
         self._axes.text(x, y, text, fontsize=style.pop("fontsize", _TEXT), va="center", **style)
 
-    def line(self, xs: Sequence[float], ys: Sequence[float], width: float = 0.4) -> None:
-        self._axes.plot(xs, ys, color="black", linewidth=width, solid_capstyle="butt")
+    def line(self, xs: Sequence[float], ys: Sequence[float], **style: Any) -> None:
+        self._axes.plot(xs, ys, **{"color": "black", "linewidth": 0.4, **style})
 
     def _ruler(self, x: float, y: float) -> None:
         self.line([x, x + _RULER], [y, y])
@@ -101,69 +74,49 @@ class _Sheet:
             if index % 5 == 0:
                 self.text(x + 0.01 * index, y + 0.006, f"{index} cm", ha="center", fontsize=6)
 
-    def marker(self, dictionary: str, size: float, item: MarkerLabel, x: float, y: float) -> None:
-        """Draw a marker with its margin, alignment marks and label."""
-        from matplotlib.patches import Rectangle
-
-        cells = marker_cells(dictionary, item.number)
-        side = size / len(cells)
-        # One black square, with a white rectangle for each run of white cells, leaves no seams between cells.
-        self._axes.add_patch(Rectangle((x, y), size, size, facecolor="black", linewidth=0))
-        for row, line in enumerate(cells):
-            for start, end in _runs(line):
-                corner = x + start * side, y + size - (row + 1) * side
-                patch = Rectangle(
-                    corner, (end - start) * side, side, facecolor="white", linewidth=0
-                )
-                self._axes.add_patch(patch)
-        self._marks(x, y, size)
-        self.text(x - 0.2 * size, y + 1.19 * size, f"{item.number}  up ↑", fontsize=5)
-        self.text(x + 1.2 * size, y + 1.19 * size, "+x →", fontsize=5, ha="right")
-        self.text(
-            x - 0.2 * size, y - 0.25 * size - 0.004, f"{item.number}  {item.text}", fontsize=5
-        )
-
-    def _marks(self, x: float, y: float, size: float) -> None:
-        """Draw the cutting line, a quarter of the side away from the black square, and the alignment marks."""
-        low, high, middle, tick = -0.25 * size, 1.25 * size, 0.5 * size, 0.08 * size
-        self._axes.plot(
-            [x + low, x + high, x + high, x + low, x + low],
-            [y + low, y + low, y + high, y + high, y + low],
-            color="0.6",
-            linewidth=0.3,
-            linestyle=(0, (4, 4)),
-        )
-        for end, inner in ((low, low + tick), (high, high - tick)):
-            self.line([x + end, x + inner], [y + middle] * 2)
-            self.line([x + middle] * 2, [y + end, y + inner])
-
-    def board(self, image: Any, x: float, y: float, width: float, height: float) -> None:
+    def image(self, image: Any, x: float, y: float, width: float, height: float) -> None:
+        """Draw a black and white image with its lower left corner at (x, y)."""
         self._axes.imshow(
             image, cmap="gray", vmin=0, vmax=255, extent=(x, x + width, y, y + height),
             interpolation="none", aspect="auto", zorder=0,
         )  # fmt: skip
 
-
-def _runs(line: Sequence[bool]) -> Iterator[tuple[int, int]]:
-    """Yield start and end (exclusive) of each run of white cells in a row."""
-    start = None
-    for index, white in enumerate([*line, False]):
-        if white and start is None:
-            start = index
-        elif not white and start is not None:
-            yield start, index
-            start = None
+    def marker(self, dictionary: str, size: float, number: int, text: str, at: Point) -> None:
+        """Draw a marker with its label, its cutting line and the marks of its middle at the edge of the print."""
+        x, y = at
+        self.image(marker_image(dictionary, number), x, y, size, size)
+        low, high, middle, tick = -0.25 * size, 1.25 * size, 0.5 * size, 0.08 * size
+        self.line(
+            [x + low, x + high, x + high, x + low, x + low],
+            [y + low, y + low, y + high, y + high, y + low],
+            color="0.6",
+            linestyle=(0, (4, 4)),
+        )
+        for end, inner in ((low, low + tick), (high, high - tick)):
+            self.line([x + end, x + inner], [y + middle] * 2)
+            self.line([x + middle] * 2, [y + end, y + inner])
+        self.text(x - 0.2 * size, y + 1.19 * size, f"{number}  up ↑", fontsize=5)
+        self.text(x + 1.2 * size, y + 1.19 * size, "+x →", fontsize=5, ha="right")
+        self.text(x - 0.2 * size, y - 0.25 * size - 0.004, f"{number}  {text}", fontsize=5)
 
 
 def _marker_sheets(options: argparse.Namespace) -> list[_Sheet]:
     setup, paper = load_setup(options.setup), PAPERS[options.paper]
     dictionary, size = setup.dictionary, setup.marker_size
+    pitch_x, pitch_y = max(1.6 * size, 0.045), 1.5 * size + 0.012
+    columns = int((paper[0] - 2.0 * _MARGIN) / pitch_x)
+    rows = int((paper[1] - 2.0 * _MARGIN - _HEAD) / pitch_y)
+    if not columns or not rows:
+        raise SetupError(f"a marker of {size:g} m does not fit on the paper")
     sheets = []
-    for page in _pages(_markers(setup), size, paper):
-        sheet = _Sheet(paper, f"{dictionary}, black square {size * 1e3:g} mm", _MARKER_REMEDY)
-        for item, x, y in page:
-            sheet.marker(dictionary, size, item, x, y)
-        sheets.append(sheet)
+    for index, (number, text) in enumerate(_markers(setup)):
+        row, column = divmod(index % (columns * rows), columns)
+        if row == column == 0:
+            title = f"{dictionary}, black square {size * 1e3:g} mm"
+            sheets.append(_Sheet(paper, title, "set marker_size_m of the setup file to its side"))
+        x = _MARGIN + column * pitch_x + 0.25 * size
+        y = paper[1] - _MARGIN - _HEAD - (row + 1) * pitch_y + 0.012 + 0.25 * size
+        sheets[-1].marker(dictionary, size, number, text, (x, y))
     return sheets
 
 
@@ -174,7 +127,7 @@ def _board_sheet(options: argparse.Namespace) -> _Sheet:
     sheet = _Sheet(paper, title, "pass its side to calibrate_camera --square-m")
     image = Board(columns, rows, square, dictionary).draw(_BOARD_PIXELS)
     width, height = columns * square, rows * square
-    sheet.board(image, (paper[0] - width) / 2.0, _MARGIN - 0.003, width, height)
+    sheet.image(image, (paper[0] - width) / 2.0, _MARGIN - 0.003, width, height)
     return sheet
 
 

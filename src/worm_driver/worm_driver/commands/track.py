@@ -6,7 +6,6 @@ The table has one row per image: time_s, rear_position_m, front_position_m, leng
 
 import argparse
 import csv
-import json
 import math
 import sys
 from collections import Counter
@@ -14,16 +13,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from worm_driver.commands.driver_command import new_file, run_command, say
-from worm_driver.driver_errors import TrackingError
 from worm_driver.tracking.image_sources import Frame, check_size, frames_of_folder, frames_of_video
-from worm_driver.tracking.preview import preview, summary
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import load_setup
-from worm_driver.tracking.vision import MarkerDetector, write_image
+from worm_driver.tracking.vision import MarkerDetector
 from worm_msgs.command_parser import Parser
 
 COLUMNS = ("time_s", "rear_position_m", "front_position_m", "length_m", "reason")
-PICTURES = (".png", ".jpg", ".jpeg")
 _PROGRESS_INTERVAL = 300  # images between two lines of progress
 
 
@@ -31,7 +27,7 @@ def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositio
     """Yield the positions of each image. Print events and progress on standard error."""
     detector = MarkerDetector(tracker.setup.dictionary)
     for index, frame in enumerate(frames, 1):
-        check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
+        check_size(frame.image, tracker.camera.size, frame.name)
         sample = tracker.see(detector.detect(frame.image), frame.time)
         if sample.event:
             say(f"track: {frame.time:.3f} s: {sample.event}")
@@ -69,68 +65,27 @@ def _parser() -> Parser:
     parser.add_argument(
         "--output",
         type=new_file,
+        required=True,
         metavar="FILE.csv",
         help="CSV table to write",
     )
-    parser.add_argument(
-        "--preview",
-        type=new_file,
-        metavar="FILE.png",
-        help="picture to write: the first image with the detected markers",
-    )
-    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
     return parser
 
 
 def _run(options: argparse.Namespace) -> None:
-    if options.output is None and options.preview is None:
-        raise TrackingError("give --output, --preview or both")
-    if options.preview is not None and options.preview.suffix.lower() not in PICTURES:
-        raise TrackingError(
-            f"--preview {options.preview}: the name must end in {', '.join(PICTURES)}"
-        )
     tracker = Tracker(load_setup(options.setup))
-    if options.preview is not None:
-        _preview(tracker, next(_frames(options, tracker)), options.preview)
-    if options.output is None:
-        return
-    samples = follow(Tracker(tracker.setup), _frames(options, tracker))
-    _report(write_table(options.output, samples), options)
-
-
-def _frames(options: argparse.Namespace, tracker: Tracker) -> Iterator[Frame]:
     if options.images is not None:
-        return frames_of_folder(options.images, tracker.setup.rate)
-    return frames_of_video(options.video, tracker.setup.rate)
+        frames = frames_of_folder(options.images, tracker.setup.rate)
+    else:
+        frames = frames_of_video(options.video, tracker.setup.rate)
+    _report(write_table(options.output, follow(tracker, frames)), options.output)
 
 
-def _preview(tracker: Tracker, frame: Frame, path: Path) -> None:
-    check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
-    detections = MarkerDetector(tracker.setup.dictionary).detect(frame.image)
-    sample = tracker.see(detections, frame.time)
-    write_image(path, preview(tracker, frame.image, detections, sample))
-    for line in summary(tracker, detections, sample):
-        say(f"track: {line}")
-
-
-def _report(samples: list[TrackedPositions], options: argparse.Namespace) -> None:
+def _report(samples: list[TrackedPositions], output: Path) -> None:
     complete = sum(math.isfinite(s.length) for s in samples)
     poses = [s.pose for s in samples if s.pose is not None]
-    error = poses[-1].error if poses else math.nan
-    if options.json:
-        content = {
-            "output": str(options.output),
-            "images": len(samples),
-            "seen": complete,
-            "news": [{"time_s": s.time, "message": s.event} for s in samples if s.event],
-            "reprojection_error_px": error if poses else None,
-        }
-        sys.stdout.write(json.dumps(content) + "\n")
-        return
-    fit = f"; reference markers fit within {error:.2f} px" if poses else ""
-    sys.stdout.write(
-        f"{options.output}: both modules in {complete} of {len(samples)} images{fit}\n"
-    )
+    fit = f"; reference markers fit within {poses[-1].error:.2f} px" if poses else ""
+    sys.stdout.write(f"{output}: both modules in {complete} of {len(samples)} images{fit}\n")
     reasons = Counter(s.reason for s in samples if s.reason)
     for reason, count in reasons.most_common(3):
         sys.stdout.write(f"  {count}: {reason}\n")

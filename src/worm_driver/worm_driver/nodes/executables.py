@@ -11,7 +11,7 @@ driver_node = node(
 )
 tracker_node = node(
     "tracker",
-    "Measure the positions of both modules in the images of a camera, a video or a folder.",
+    "Measure the positions of both modules in the images of a camera.",
     "worm_driver.tracking.tracker_setup",
     "worm_driver.nodes.tracker_node",
 )

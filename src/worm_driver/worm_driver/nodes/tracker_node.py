@@ -11,33 +11,26 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
 
 from worm_driver.driver_errors import ImageError, SetupError, TrackingError
 from worm_driver.nodes import driver_messages
 from worm_driver.nodes.driver_messages import PositionPublisher
 from worm_driver.tracking import vision
-from worm_driver.tracking.camera_model import make_camera_model
-from worm_driver.tracking.image_sources import FrameThread, check_size
+from worm_driver.tracking.image_sources import CameraThread, check_size
 from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker import TrackerReport
 from worm_driver.tracking.tracker_setup import TOPIC, load_setup, rows
 from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
-_TRANSPORTS = ("raw", "compressed")
 REJECTIONS = (TrackingError,)
 _NANOSECONDS = 10**9
 
 
 class TrackerNode(Node):
-    """Node that measures the positions in images and publishes them.
-
-    Attributes:
-        failure: error that ends the node; None while it runs.
-    """
+    """Node that measures the positions in images and publishes them."""
 
     def __init__(self) -> None:
         super().__init__("tracker")
@@ -45,82 +38,53 @@ class TrackerNode(Node):
         texts = {row.name: str(self.get_parameter(row.name).value) for row in rows()}
         self._setup = load_setup(_setup_path(texts["setup_file"]))
         self._detector = vision.MarkerDetector(self._setup.dictionary)
-        self._tracker = None if self._setup.camera is None else ModuleTracker(self._setup)
+        from_topic = texts["source"] == TOPIC
+        if not from_topic and not texts["source"].startswith("/dev/"):
+            raise SetupError(
+                f"source is {texts['source']!r}: it must be topic or a camera such as /dev/video0. "
+                "The command track processes videos and folders of images"
+            )
+        self._tracker = ModuleTracker(self._setup)
         self._report = TrackerReport(texts["source"])
         self._positions = PositionPublisher(self, 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._frames: FrameThread | None = None
+        self._camera: CameraThread | None = None
         self._qos_incompatible = False
-        self.failure: TrackingError | None = None
-        if texts["source"] == TOPIC:
-            self._subscribe(texts["image_transport"])
+        if from_topic:
+            # An image is sent in fragments, of which a best-effort subscriber loses some. A reliable subscriber does
+            # not match a best-effort camera; the middleware then reports incompatible QoS.
+            self._subscribe(ReliabilityPolicy.RELIABLE)
         else:
-            self._open(texts["source"])
+            size, rate = self._tracker.camera.size, self._setup.rate
+            arrival = self.create_guard_condition(self._on_arrival)
+            self._camera = CameraThread(texts["source"], size, rate, arrival.trigger)
+            self._camera.start()
         self.create_timer(1.0, self._publish_report)
 
-    def _subscribe(self, transport: str) -> None:
-        if transport not in _TRANSPORTS:
-            raise SetupError(f"image_transport must be one of {', '.join(_TRANSPORTS)}")
-        self.create_subscription(
-            CameraInfo, "camera/camera_info", self._on_info, qos_profile_sensor_data
-        )
-        # An image is sent in fragments, of which a best-effort subscriber loses some. A reliable subscriber does not
-        # match a best-effort camera; the middleware then reports incompatible QoS.
-        self._transport = transport
-        self._images = self._subscribe_images(QoSProfile(depth=2))
+    @property
+    def failure(self) -> ImageError | None:
+        """Error of the camera that ends the node; None while it runs."""
+        return None if self._camera is None else self._camera.failure
 
-    def _subscribe_images(self, quality: QoSProfile) -> Subscription:
-        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible)
-        if self._transport == "raw":
-            return self.create_subscription(
-                Image, "camera/image_raw", self._on_image, quality, event_callbacks=events
-            )
-        return self.create_subscription(
-            CompressedImage,
-            "camera/image_raw/compressed",
-            self._on_compressed,
-            quality,
-            event_callbacks=events,
+    def _subscribe(self, reliability: ReliabilityPolicy) -> None:
+        self._images = self.create_subscription(
+            Image,
+            "camera/image_raw",
+            self._on_image,
+            QoSProfile(depth=2, reliability=reliability),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible),
         )
 
     def _on_incompatible(self, _: object) -> None:
         # Handled at the next report: a subscription must not be destroyed within its own event.
         self._qos_incompatible = True
 
-    def _open(self, source: str) -> None:
-        if self._tracker is None:
-            raise SetupError(
-                f"the setup file has camera_info: topic, but the images come from {source}; set camera_info to the "
-                "path of a calibration file"
-            )
-        camera = self._tracker.camera
-        arrival = self.create_guard_condition(self._on_arrival)
-        size = camera.width, camera.height
-        self._frames = FrameThread(source, self._setup, size, arrival.trigger)
-        self._frames.start()
-
     def close(self) -> None:
         """Close the camera."""
-        if self._frames is not None:
-            self._frames.close()
+        if self._camera is not None:
+            self._camera.close()
 
     # --- images in ------------------------------------------------------------------------------
-
-    def _on_info(self, message: CameraInfo) -> None:
-        try:
-            size = int(message.width), int(message.height)
-            model = message.distortion_model
-            camera = make_camera_model(size, list(message.k), model, list(message.d))
-        except SetupError as error:
-            if self._setup.camera is None:
-                self._reject_images(f"camera_info: {error}")
-            return
-        if self._setup.camera is None:
-            if self._tracker is None or self._tracker.camera != camera:
-                self._tracker = ModuleTracker(self._setup, camera)
-        elif self._setup.camera.differs_from(camera):
-            text = "the tracker uses the calibration of the setup file, which differs from that on camera_info"
-            self.get_logger().warning(text, once=True)
 
     def _on_image(self, message: Image) -> None:
         try:
@@ -132,32 +96,18 @@ class TrackerNode(Node):
             return
         self._see(image, message.header.stamp)
 
-    def _on_compressed(self, message: CompressedImage) -> None:
-        try:
-            image = vision.decode_image(bytes(message.data))
-        except ImageError as error:
-            self._reject_images(str(error))
-            return
-        self._see(image, message.header.stamp)
-
     def _on_arrival(self) -> None:
-        assert self._frames is not None
-        while (frame := self._frames.next_frame()) is not None:
+        assert self._camera is not None
+        while (frame := self._camera.next_frame()) is not None:
             age = time.monotonic() - frame.time
             now = self.get_clock().now().nanoseconds
             self._see(frame.image, _time(now - round(age * _NANOSECONDS)))
-        if self._frames.ended:
-            self.failure = self._frames.failure or ImageError("the source has no more images")
 
     # --- positions out --------------------------------------------------------------------------
 
     def _see(self, image: vision.Image, stamp: Time) -> None:
-        if self._tracker is None:
-            self._reject_images("no camera_info yet: the images cannot be used")
-            return
-        camera = self._tracker.camera
         try:
-            check_size(image, (camera.width, camera.height), "the image")
+            check_size(image, self._tracker.camera.size, "the image")
         except ImageError as error:
             self._reject_images(str(error))
             return
@@ -173,16 +123,11 @@ class TrackerNode(Node):
         if self._report.set_problem(problem):
             self.get_logger().error(problem)
 
-    def _subscribe_best_effort(self) -> None:
-        """Subscribe again, for a camera that publishes with best effort."""
-        self._qos_incompatible = False
-        self.destroy_subscription(self._images)
-        quality = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._images = self._subscribe_images(quality)
-
     def _publish_report(self) -> None:
         if self._qos_incompatible:
-            self._subscribe_best_effort()
+            self._qos_incompatible = False
+            self.destroy_subscription(self._images)
+            self._subscribe(ReliabilityPolicy.BEST_EFFORT)
         stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             driver_messages.diagnostics(
@@ -204,7 +149,7 @@ def _time(nanoseconds: int) -> Time:
 
 
 def run(ended: ShutdownRequest) -> int:
-    """Run the tracker until SIGINT, SIGTERM or SIGHUP, or until the source has no more images."""
+    """Run the tracker until SIGINT, SIGTERM or SIGHUP, or until the camera fails."""
     node = TrackerNode()
     try:
         executor = SingleThreadedExecutor()
@@ -216,9 +161,7 @@ def run(ended: ShutdownRequest) -> int:
     finally:
         node.close()
         node.destroy_node()
-    if isinstance(node.failure, ImageError):
+    if node.failure is not None:
         print(f"tracker: {node.failure}", file=sys.stderr)  # noqa: T201 (standard error of the command)
         return 1
-    if node.failure is not None:
-        raise node.failure
     return 0

@@ -2,27 +2,23 @@
 """Command ``virtual_robot``: its arguments, and its end after bad input."""
 
 import argparse
-import logging
 import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from worm_driver.virtual_robot.wire.faults import KINDS
 from worm_msgs.claim import ClaimedError
-from worm_msgs.command_parser import BAD_INPUT, Parser
+from worm_msgs.command_parser import Parser, run_command
 from worm_msgs.conditions import CONDITION_ROWS
-from worm_msgs.input_error import InputError
 from worm_msgs.ros_process import own_arguments, ros_process
 
 # s, time slice of the interpreter's threads; with Python's default of 5 ms, answers on the bus would be too late.
 _SWITCH_INTERVAL = 0.0002
 
-log = logging.getLogger("virtual_robot")
 
-
-def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the options. Exit with status 2 if one is invalid."""
+def _parser() -> Parser:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
     parser = Parser(
         prog="virtual_robot",
@@ -77,7 +73,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         const=None,
         help="run in real time, like a real robot: to measure how well the driver meets its deadlines",
     )
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _rate(text: str) -> float:
@@ -87,31 +83,19 @@ def _rate(text: str) -> float:
     return value or math.inf
 
 
-def _reject(error: Exception) -> int:
-    log.error("%s", error)
-    return BAD_INPUT
+def _run(command_line: Sequence[str], options: argparse.Namespace) -> None:
+    # Imported after --help, for which it would take too long.
+    from worm_driver.nodes.virtual_robot_node import make_robot, run
+
+    robot = make_robot(options)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    with ros_process(command_line) as ended:
+        run(robot, options, ended)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return the exit status."""
-    logging.basicConfig(stream=sys.stderr, format="virtual_robot: %(message)s")
     command_line = sys.argv if arguments is None else ["virtual_robot", *arguments]
-    options = parse_arguments(own_arguments(command_line)[1:])
-    # Imported after --help, for which it would take too long.
-    from worm_driver.nodes.virtual_robot_node import make_robot, run
-    from worm_driver.virtual_robot.robot_server import DirectoryError
-
-    try:
-        robot = make_robot(options)
-    except InputError as error:
-        return _reject(error)
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    try:
-        with ros_process(command_line) as ended:
-            run(robot, options, ended)
-    except (DirectoryError, ClaimedError) as error:
-        return _reject(error)
-    except Exception:
-        log.exception("stopped by an error")
-        return 1
-    return 0
+    return run_command(
+        _parser(), partial(_run, command_line), own_arguments(command_line)[1:], (ClaimedError,)
+    )

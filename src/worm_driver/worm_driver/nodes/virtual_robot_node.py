@@ -3,7 +3,7 @@
 
 import argparse
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,43 +115,33 @@ def make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     """Return the robot that the options describe. Raises `InputError` for an invalid file, condition or fault."""
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
-        settings = settings.with_seed(arguments.seed)
+        settings = replace(settings, seed=arguments.seed)
     given = {name: getattr(arguments, name) for name in CONDITION_ROWS}
     given = {name: value for name, value in given.items() if value is not None}
     settings = replace(settings, conditions=replace(settings.conditions, **given))
     return VirtualRobot(settings, FaultBoard(parse_fault(text) for text in arguments.fault))
 
 
-def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
-    """Run the server in its thread. A failure ends the process."""
-    try:
-        node.server.run()
-    except Exception as error:  # noqa: BLE001 (reported by the main thread)
-        failures.append(error)
-
-
 def run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownRequest) -> None:
     """Serve until a signal arrives and the driver has ended. Raise the exception of the serving thread, if any."""
     node = VirtualRobotNode(robot, options.directory, options.rate)
     ended.again = node.server.stop
-    failures: list[Exception] = []
-    serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        node.server.open()
-        serving.start()
-        sys.stdout.write(f"ready: {options.directory}\n")
-        sys.stdout.flush()
-        # If all processes receive the signal at once, the robot must serve until the driver has released it.
-        while serving.is_alive() and not (ended() and node.server.is_unused(_QUIET)):
-            executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
+        with ThreadPoolExecutor(1, "serving") as pool:
+            node.server.open()
+            serving = pool.submit(node.server.run)
+            try:
+                sys.stdout.write(f"ready: {options.directory}\n")
+                sys.stdout.flush()
+                # If all processes receive the signal at once, the robot must serve until the driver has released it.
+                while not serving.done() and not (ended() and node.server.is_unused(_QUIET)):
+                    executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
+            finally:
+                node.server.stop()
+        serving.result()
     finally:
-        node.server.stop()
-        if serving.ident is not None:
-            serving.join()
         node.server.close()
         node.close()
         node.destroy_node()
-    if failures:
-        raise failures[0]

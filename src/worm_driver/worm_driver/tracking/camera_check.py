@@ -5,7 +5,7 @@ import contextlib
 import statistics
 import time
 from functools import partial
-from itertools import pairwise
+from itertools import islice, pairwise
 
 from worm_driver.control.bench_check import CAMERA_ROWS, AdviceError, Row, fail, judge, skipped
 from worm_driver.control.diagnostics import Level
@@ -40,16 +40,15 @@ def camera_rows(tracker: Tracker, source: str) -> list[Row]:
 
 
 def _shots(tracker: Tracker, source: str) -> list[Shot]:
-    size = tracker.camera.width, tracker.camera.height
     shots: list[Shot] = []
     with contextlib.closing(VideoSource(source)) as camera:
-        camera.request_format(*size, tracker.setup.rate)
-        camera.read()  # the first image waits for the start of the camera
-        while len(shots) < _IMAGES and (shot := camera.read()) is not None:
-            shots.append((*shot, time.monotonic()))
+        camera.request_format(*tracker.camera.size, tracker.setup.rate)
+        # The first image waits for the start of the camera.
+        for image, exposed in islice(camera.images(), 1, 1 + _IMAGES):
+            shots.append((image, exposed, time.monotonic()))
     if len(shots) < _IMAGES:
         raise ImageError(f"{source} delivers no more images: was it unplugged?")
-    check_size(shots[0][0], size, source)
+    check_size(shots[0][0], tracker.camera.size, source)
     return shots
 
 

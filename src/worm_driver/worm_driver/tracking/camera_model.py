@@ -7,25 +7,21 @@ tangential distortion, 4 or 5 coefficients) and ``rational_polynomial`` (8 coeff
 
 from __future__ import annotations
 
-import itertools
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from worm_driver.driver_errors import SetupError
-from worm_msgs.settings_file import FOREIGN, read_settings
+from worm_msgs.settings_file import FOREIGN, key, read_settings
 
 Array = NDArray[np.float64]
 
-#: Allowed numbers of distortion coefficients of each model.
-COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,)}
-#: Largest difference between the numbers of two calibrations that are the same.
-_ROUNDING = 1e-3
+#: Number of distortion coefficients of each model; plumb_bob may omit the last one, or all.
+COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
 
 
 @dataclass(frozen=True)
@@ -33,15 +29,14 @@ class CameraModel:
     """Calibrated camera.
 
     Attributes:
-        width, height: image size, pixels.
+        size: width and height of an image, pixels.
         focal: focal length (fx, fy), pixels.
         centre: principal point (cx, cy), pixels; (0, 0) is the centre of the first pixel.
         model: distortion model, a key of COEFFICIENTS.
         distortion: distortion coefficients in the order of camera_info.
     """
 
-    width: int
-    height: int
+    size: tuple[int, int]
     focal: tuple[float, float]
     centre: tuple[float, float]
     model: str
@@ -52,19 +47,6 @@ class CameraModel:
         """Camera matrix K, shape (3, 3)."""
         (fx, fy), (cx, cy) = self.focal, self.centre
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-    def differs_from(self, other: CameraModel) -> bool:
-        """Return True if another calibration differs in image size, in model, or by more than rounding in a number.
-
-        Focal lengths and principal points are compared by their ratio, distortion coefficients by their difference.
-        """
-        if (self.width, self.height, self.model) != (other.width, other.height, other.model):
-            return True
-        pinholes = [np.array([*c.focal, *c.centre]) for c in (self, other)]
-        # plumb_bob with four coefficients is the same as with a fifth that is 0.
-        pairs = itertools.zip_longest(self.distortion, other.distortion, fillvalue=0.0)
-        differences = [*(pinholes[1] / pinholes[0] - 1.0), *(b - a for a, b in pairs)]
-        return bool(np.abs(differences).max() > _ROUNDING)
 
 
 @dataclass(frozen=True)
@@ -80,8 +62,8 @@ class CameraInfoFile:
 
     __pydantic_config__ = FOREIGN
 
-    image_width: int
-    image_height: int
+    image_width: Annotated[int, key(gt=0)]
+    image_height: Annotated[int, key(gt=0)]
     camera_matrix: _Matrix
     distortion_model: str
     distortion_coefficients: _Matrix
@@ -98,62 +80,35 @@ def load_camera_info(path: Path) -> CameraModel:
             f"{path}: No such file. Create it with calibrate_camera, or copy the camera's camera_info file there"
         )
     file = read_settings(path, CameraInfoFile, SetupError)
-    matrix, distortion = file.camera_matrix.data, file.distortion_coefficients.data
-    size = (file.image_width, file.image_height)
-    try:
-        return make_camera_model(size, matrix, file.distortion_model, distortion)
-    except SetupError as error:
-        raise SetupError(f"{path}: {error}") from None
-
-
-def make_camera_model(
-    size: tuple[int, int], matrix: list[float], model: str, distortion: list[float]
-) -> CameraModel:
-    """Return the camera described by the fields of a camera_info message.
-
-    Args:
-        size: image width and height, pixels.
-        matrix: camera matrix K, row by row, 9 values.
-        model: distortion_model.
-        distortion: distortion coefficients D.
-
-    Raises:
-        SetupError: The camera is not calibrated, or its distortion model is not supported.
-    """
-    width, height = size
-    if min(size) <= 0:
-        raise SetupError(
-            f"image size {width} x {height} is not valid: both must be positive integers"
-        )
-    if len(matrix) != 9 or not all(map(math.isfinite, [*matrix, *distortion])):
-        raise SetupError(
-            "camera_matrix must have nine numbers, and all numbers of the calibration must be finite"
-        )
+    matrix, model = file.camera_matrix.data, file.distortion_model or "plumb_bob"
+    distortion = file.distortion_coefficients.data
+    if len(matrix) != 9 or matrix[1] != 0.0:
+        raise SetupError(f"{path}: camera_matrix must have nine numbers, and no skew")
     if matrix[0] <= 0.0 or matrix[4] <= 0.0:
         raise SetupError(
-            "the focal length is not positive: the camera is not calibrated. Calibrate it with calibrate_camera"
+            f"{path}: the focal length is not positive: the camera is not calibrated. Calibrate it with "
+            "calibrate_camera"
         )
-    if matrix[1] != 0.0:
-        raise SetupError("a camera_matrix with skew is not supported")
-    if not distortion and model in ("", "plumb_bob"):
-        model, distortion = "plumb_bob", [0.0] * 5
     if model not in COEFFICIENTS:
         raise SetupError(
-            f"distortion_model {model!r} is not supported; use one of {', '.join(COEFFICIENTS)}"
+            f"{path}: distortion_model {model!r} is not supported; use one of {', '.join(COEFFICIENTS)}"
         )
-    if len(distortion) not in COEFFICIENTS[model]:
-        counts = " or ".join(map(str, COEFFICIENTS[model]))
-        raise SetupError(f"{model} has {counts} coefficients, not {len(distortion)}")
-    focal, centre = (matrix[0], matrix[4]), (matrix[2], matrix[5])
-    return CameraModel(width, height, focal, centre, model, tuple(distortion))
+    if model == "plumb_bob" and len(distortion) in (0, 4):
+        distortion = [*distortion, *[0.0] * 5][:5]  # the same lens
+    if len(distortion) != COEFFICIENTS[model]:
+        raise SetupError(
+            f"{path}: {model} has {COEFFICIENTS[model]} coefficients, not {len(distortion)}"
+        )
+    size, focal = (file.image_width, file.image_height), (matrix[0], matrix[4])
+    return CameraModel(size, focal, (matrix[2], matrix[5]), model, tuple(distortion))
 
 
 def camera_info_text(camera: CameraModel) -> str:
     """Return the content of a camera_info YAML file, as `load_camera_info` and camera_info_manager read it."""
     fx, fy, cx, cy = *camera.focal, *camera.centre
     content = {
-        "image_width": camera.width,
-        "image_height": camera.height,
+        "image_width": camera.size[0],
+        "image_height": camera.size[1],
         "camera_name": "camera",
         "camera_matrix": _matrix(3, 3, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
         "distortion_model": camera.model,

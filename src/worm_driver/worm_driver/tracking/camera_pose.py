@@ -66,10 +66,8 @@ def print_corners(centre: tuple[float, float, float], size: float, facing: int) 
         size: side of the black square, m.
         facing: direction of the print, see `CameraPose`.
     """
-    corners = np.tile(np.array(centre), (4, 1))
-    corners[:, 0] -= facing * size * _UNIT_CORNERS[:, 0]
-    corners[:, 2] += size * _UNIT_CORNERS[:, 1]
-    return corners
+    right, up = size * _UNIT_CORNERS.T
+    return np.array(centre) + np.column_stack([-facing * right, np.zeros(4), up])
 
 
 def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> CameraPose:
@@ -89,14 +87,18 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
     rays = vision.directions(camera, pixels)
     if not np.isfinite(rays).all():
         raise PoseError("a reference marker lies outside the range of the lens calibration")
-    candidates = sorted(
-        (
-            _candidate(setup, camera, corners_of, facing, pose)
-            for facing in (-1, 1)
-            for pose in vision.poses(_places(setup, corners_of, facing), rays)
-        ),
-        key=lambda candidate: candidate.error,
-    )
+    candidates = []
+    for facing in (-1, 1):
+        prints = [print_corners(setup.reference[n], setup.marker_size, facing) for n in corners_of]
+        places = np.concatenate(prints)
+        for rotation, shift in vision.poses(places, rays):
+            wrong = vision.project(camera, places, rotation, shift) - pixels
+            depth = float((places @ rotation.T + shift)[:, 2].mean())
+            # The markers must not be behind the camera.
+            error = float(np.sqrt((wrong**2).sum(axis=1).mean())) if depth > 0.0 else math.inf
+            error_m = error * depth / camera.focal[0] if depth > 0.0 else math.inf
+            candidates.append(CameraPose(rotation, shift, facing, error, error_m))
+    candidates.sort(key=lambda candidate: candidate.error)
     best = candidates[0]
     if not best.error_m <= _MISPLACED:
         raise PoseError(
@@ -110,30 +112,6 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
                 "move closer"
             )
     return best
-
-
-def _places(setup: TrackerSetup, corners_of: Corners, facing: int) -> Array:
-    corners = [print_corners(setup.reference[n], setup.marker_size, facing) for n in corners_of]
-    return np.concatenate(corners)
-
-
-def _candidate(
-    setup: TrackerSetup,
-    camera: CameraModel,
-    corners_of: Corners,
-    facing: int,
-    pose: tuple[Array, Array],
-) -> CameraPose:
-    rotation, shift = pose
-    places = _places(setup, corners_of, facing)
-    depth = float((places @ rotation.T + shift)[:, 2].mean())
-    if not depth > 0.0:  # the markers would be behind the camera, or the pose is NaN
-        return CameraPose(rotation, shift, facing, math.inf, math.inf)
-    wrong = vision.project(camera, places, rotation, shift) - np.concatenate(
-        list(corners_of.values())
-    )
-    error = float(np.sqrt((wrong**2).sum(axis=1).mean()))
-    return CameraPose(rotation, shift, facing, error, error * depth / camera.focal[0])
 
 
 def _angle(one: CameraPose, other: CameraPose) -> float:
@@ -169,8 +147,7 @@ class FixedCamera:
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
         self._setup = setup
         self._camera = camera
-        self._sums: dict[int, Array] = {}
-        self._counts: dict[int, int] = {}
+        self._seen: dict[int, list[Array]] = {}  # corners to be averaged, by marker number
         self._pose: CameraPose | None = None
         self._stray: set[int] = set()
 
@@ -188,15 +165,18 @@ class FixedCamera:
             return self._explain(moved, trusted)
         self._average(trusted)
         try:
-            return PoseEstimate(self._pose_of_means())
+            if self._pose is None:
+                means = {n: np.mean(seen, axis=0) for n, seen in self._seen.items()}
+                self._pose = find_pose(self._setup, self._camera, means)
         except PoseError as error:
             return PoseEstimate(None, str(error))
+        return PoseEstimate(self._pose)
 
     def _distance(self, number: int, corners: Array) -> float:
         """Return the distance of a marker's centre from its mean position, pixels; 0 for a new marker."""
-        if number not in self._sums:
+        if number not in self._seen:
             return 0.0
-        mean = self._sums[number] / self._counts[number]
+        mean = np.mean(self._seen[number], axis=0)
         return float(np.hypot(*(corners - mean).mean(axis=0)))
 
     def _explain(self, moved: Mapping[int, float], corners_of: Corners) -> PoseEstimate:
@@ -205,53 +185,23 @@ class FixedCamera:
         ``moved`` contains the displacement of each moved marker by its number, pixels.
         """
         names = ", ".join(f"{n} by {distance:.1f} px" for n, distance in moved.items())
-        still = len(corners_of) - len(moved)
-        if len(moved) == 1 and still >= FEWEST_REFERENCES:
-            (number,) = moved
-            self._stray.add(number)
-            self._forget()
-            self._average({n: corners for n, corners in corners_of.items() if n not in self._stray})
-            event = f"reference marker {names} moved relative to the other markers. It is ignored from now on"
-            return PoseEstimate(None, f"reference marker {number} moved", event)
-        self._forget()
-        self._average(corners_of)
-        return PoseEstimate(
-            None,
-            "the camera or reference markers moved",
-            f"reference markers moved in the image ({names}): the camera, or these markers, moved",
+        problem = "the camera or reference markers moved"
+        event = (
+            f"reference markers moved in the image ({names}): the camera, or these markers, moved"
         )
-
-    def _forget(self) -> None:
-        self._sums, self._counts, self._pose = {}, {}, None
+        if len(moved) == 1 and len(corners_of) - 1 >= FEWEST_REFERENCES:
+            self._stray |= moved.keys()
+            problem = f"reference marker {names.split()[0]} moved"
+            event = f"reference marker {names} moved relative to the other markers. It is ignored from now on"
+        self._seen, self._pose = {}, None
+        self._average({n: corners for n, corners in corners_of.items() if n not in self._stray})
+        return PoseEstimate(None, problem, event)
 
     def _average(self, corners_of: Corners) -> None:
         """Add corners to the averages. Discard the pose if it is to be estimated again."""
         for number, corners in corners_of.items():
-            count = self._counts.get(number, 0) + 1
-            if count <= _AVERAGED:
-                self._sums[number] = self._sums.get(number, 0.0) + corners
-                self._counts[number] = count
-                if count & (count - 1) == 0:  # a power of 2
+            seen = self._seen.setdefault(number, [])
+            if len(seen) < _AVERAGED:
+                seen.append(corners)
+                if len(seen).bit_count() == 1:  # a power of 2
                     self._pose = None
-
-    def _pose_of_means(self) -> CameraPose:
-        """Return the pose, and estimate it first if there is none. Raises PoseError."""
-        if self._pose is None:
-            means = {n: total / self._counts[n] for n, total in self._sums.items()}
-            self._pose = find_pose(self._setup, self._camera, means)
-        return self._pose
-
-
-class MovingCamera:
-    """Pose estimator for a camera that may move. It evaluates each image independently."""
-
-    def __init__(self, setup: TrackerSetup, camera: CameraModel):
-        self._setup = setup
-        self._camera = camera
-
-    def update(self, corners_of: Corners) -> PoseEstimate:
-        """Return the estimate from the reference markers of one image."""
-        try:
-            return PoseEstimate(find_pose(self._setup, self._camera, corners_of))
-        except PoseError as error:
-            return PoseEstimate(None, str(error))

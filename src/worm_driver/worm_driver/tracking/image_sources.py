@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image sequences with times, from a folder, a video or a camera, and the thread that reads them at their times."""
+"""Image sequences with times, from a folder, a video or a camera, and the thread that reads a camera."""
 
 import csv
 import math
@@ -8,11 +8,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from worm_driver.driver_errors import ImageError, TrackingError
-from worm_driver.tracking.tracker_setup import TrackerSetup
+from worm_driver.driver_errors import ImageError
 from worm_driver.tracking.vision import Image, VideoSource, read_image
 
 TIMES_FILE = "times.csv"
@@ -104,24 +104,17 @@ def frames_of_video(path: Path, rate: float) -> Iterator[Frame]:
     """
     if not path.is_file():
         raise ImageError(f"{path} is not a file")
-    video = VideoSource(str(path))
-    try:
+    with closing(VideoSource(str(path))) as video:
         rate = video.rate if 0.0 < video.rate < 1000.0 else rate
         if not rate > 0.0:
             raise ImageError(f"{path} contains no frame rate: add rate_hz to the setup file")
         before = -math.inf
-        index = 0
-        while (image_and_time := video.read()) is not None:
-            image, time = image_and_time
+        for index, (image, stored) in enumerate(video.images()):
             # Some containers store no times, or the same time for all images. Such images are spaced equally.
-            time = time if time > before else (index / rate if index == 0 else before + 1.0 / rate)
-            yield Frame(f"image {index}", time, image)
-            before = time
-            index += 1
-        if index == 0:
-            raise ImageError(f"{path} contains no readable images")
-    finally:
-        video.close()
+            before = stored if stored > before else before + 1.0 / rate
+            yield Frame(f"image {index}", before, image)
+    if before == -math.inf:
+        raise ImageError(f"{path} contains no readable images")
 
 
 def check_size(image: Image, size: tuple[int, int], name: str) -> None:
@@ -135,80 +128,51 @@ def check_size(image: Image, size: tuple[int, int], name: str) -> None:
 
 
 _QUEUE_LENGTH = 2  # images; the oldest image is dropped if the tracker is late
-_POLL_PERIOD = 0.05  # s, longest single wait for the time of an image
 
 
-def frames_of_device(device: str, size: tuple[int, int], rate: float) -> Iterator[Frame]:
-    """Yield the images of a V4L2 camera, stamped with their arrival on the monotonic clock (s)."""
-    camera = VideoSource(device)
-    try:
-        camera.request_format(*size, rate)
-        while (image_and_time := camera.read()) is not None:
-            yield Frame(device, time.monotonic(), image_and_time[0])
-        raise ImageError(f"{device} delivers no more images: was it unplugged?")
-    finally:
-        camera.close()
-
-
-class FrameThread:
-    """Thread that reads images, and delivers those of a video or a folder at their times.
+class CameraThread(threading.Thread):
+    """Thread that reads a V4L2 camera and stamps each image with its arrival on the monotonic clock (s).
 
     Args:
-        source: a device under /dev, a video, or a folder of images.
-        setup: setup of the tracker, of which only the rate is used (`Rig.rate`).
-        size: (width, height) requested from a camera, pixels.
-        arrived: called in the thread when an image is available or the source has ended.
+        device: device of the camera, such as /dev/video0.
+        size: (width, height) requested from the camera, pixels.
+        rate: rate requested from the camera, Hz; 0 for the default.
+        arrived: called in the thread when an image is available or the camera has failed.
 
     Attributes:
-        ended: True if the source has ended or failed.
-        failure: error that ended the source; None without an error.
+        failure: error that ended the images; None without an error.
     """
 
     def __init__(
-        self, source: str, setup: TrackerSetup, size: tuple[int, int], arrived: Callable[[], None]
+        self, device: str, size: tuple[int, int], rate: float, arrived: Callable[[], None]
     ):
-        self._live = source.startswith("/dev/")
-        if self._live:
-            self._frames = frames_of_device(source, size, setup.rate)
-        elif Path(source).is_dir():
-            self._frames = frames_of_folder(Path(source), setup.rate)
-        else:
-            self._frames = frames_of_video(Path(source), setup.rate)
+        super().__init__(name="images", daemon=True)
+        self._device, self._size, self._rate = device, size, rate
         self._arrived = arrived
         self._queue: deque[Frame] = deque(maxlen=_QUEUE_LENGTH)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="images", daemon=True)
-        self.ended = False
-        self.failure: TrackingError | None = None
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        self._closed = False
+        self.failure: ImageError | None = None
 
     def next_frame(self) -> Frame | None:
-        """Return the next image with its time on the monotonic clock (s), None if the queue is empty."""
+        """Return the next image, None if the queue is empty."""
         return self._queue.popleft() if self._queue else None
 
     def close(self) -> None:
-        """Stop the thread."""
-        self._ending.set()
-        self._thread.join(timeout=1.0)
+        """Stop the thread, which closes the camera."""
+        self._closed = True
+        self.join(timeout=1.0)
 
-    def _run(self) -> None:
-        begin: float | None = None
+    def run(self) -> None:
+        """Read the camera until `close` is called or the camera fails."""
         try:
-            for frame in self._frames:
-                due = frame.time
-                if not self._live:
-                    begin = time.monotonic() - frame.time if begin is None else begin
-                    due = begin + frame.time
-                    while time.monotonic() < due and not self._ending.is_set():
-                        self._ending.wait(min(due - time.monotonic(), _POLL_PERIOD))
-                if self._ending.is_set():
-                    return
-                self._queue.append(Frame(frame.name, due, frame.image))
-                self._arrived()
-        except TrackingError as error:
+            with closing(VideoSource(self._device)) as camera:
+                camera.request_format(*self._size, self._rate)
+                for image, _ in camera.images():
+                    if self._closed:
+                        return
+                    self._queue.append(Frame(self._device, time.monotonic(), image))
+                    self._arrived()
+            raise ImageError(f"{self._device} delivers no more images: was it unplugged?")
+        except ImageError as error:
             self.failure = error
-        self.ended = True
-        self._arrived()
+            self._arrived()

@@ -5,14 +5,14 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from worm_driver.control.diagnostics import DiagnosticReport, Level
-from worm_driver.driver_errors import SetupError
 from worm_driver.tracking import vision
-from worm_driver.tracking.camera_model import Array, CameraModel
-from worm_driver.tracking.camera_pose import DOUBTFUL, CameraPose, FixedCamera, MovingCamera
+from worm_driver.tracking.camera_model import Array, CameraModel, load_camera_info
+from worm_driver.tracking.camera_pose import DOUBTFUL, CameraPose, FixedCamera
 from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker, TrackerSetup
 from worm_driver.tracking.vision import Detection
 
@@ -27,31 +27,27 @@ _TURNED = 0.2
 BLURRED = 0.8
 
 
-@dataclass(frozen=True)
-class Fix:
-    """Position along the pipe (m) of a marker's centre or of a fin root; NaN with a reason if it was rejected."""
-
-    position: float
-    reason: str = ""
+class HiddenError(Exception):
+    """A module has no position. The message is the reason."""
 
 
-def locate(setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection) -> Fix:
+def locate(
+    setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection
+) -> float:
     """Return the position (m) of a module's marker on the line that the modules move along.
 
     The image of the marker's centre is the intersection of the diagonals, also if the print is tilted. The returned
-    position is that of the point of the line that is closest to the camera's ray through the marker's centre. The
-    position is NaN, with a reason, if the detection is implausible.
+    position is that of the point of the line that is closest to the camera's ray through the marker's centre.
+
+    Raises:
+        HiddenError: The detection is implausible.
     """
     rays = vision.directions(camera, detection.corners)
     if not np.isfinite(rays).all():
-        return _rejected("outside the range of the lens calibration")
+        raise HiddenError("outside the range of the lens calibration")
     position, offset = _nearest_on_line(setup.line, pose, _crossing(rays))
-    problem = _problem(setup, pose, detection, rays, offset)
-    return _rejected(problem) if problem else Fix(position)
-
-
-def _rejected(reason: str) -> Fix:
-    return Fix(float("nan"), reason)
+    _check_plausible(setup, pose, detection, rays, offset)
+    return position
 
 
 def _crossing(rays: Array) -> Array:
@@ -75,26 +71,28 @@ def _nearest_on_line(line: ModuleLine, pose: CameraPose, ray: Array) -> tuple[fl
     return x, float(np.hypot(*(slope * x + offset)))
 
 
-def _problem(
+def _check_plausible(
     setup: TrackerSetup, pose: CameraPose, detection: Detection, rays: Array, offset: float
-) -> str:
-    """Return why a detection is implausible; an empty string if it is plausible."""
+) -> None:
+    """Raise HiddenError if a detection is implausible."""
     if not math.isfinite(detection.edge_width):
-        return "without clear edges (glare, or partly covered)"
+        raise HiddenError("without clear edges (glare, or partly covered)")
     if detection.edge_width > BLURRED:
-        return f"blurred over {detection.edge_width:.1f} cells"
+        raise HiddenError(f"blurred over {detection.edge_width:.1f} cells")
     if offset > _OFF_LINE * setup.marker_size:
-        return f"at an implausible position, {offset * 1e3:.1f} mm from the modules' line"
-    sides = np.diff(_on_plane(setup.line.y, pose, rays), axis=0, append=0.0)
-    sides[3] = -sides[:3].sum(axis=0)
-    lengths = np.hypot(*sides.T) / setup.marker_size
-    if np.abs(lengths - 1.0).max() > _SIZE:
-        return f"of the wrong size, {lengths.mean():.2f} of marker_size_m"
+        raise HiddenError(
+            f"at an implausible position, {offset * 1e3:.1f} mm from the modules' line"
+        )
+    corners = _on_plane(setup.line.y, pose, rays)
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.hypot(*sides.T)
+    ratios = lengths / setup.marker_size
+    if np.abs(ratios - 1.0).max() > _SIZE:
+        raise HiddenError(f"of the wrong size, {ratios.mean():.2f} of marker_size_m")
     upright = np.array([[-pose.facing, 0.0], [0.0, -1.0], [pose.facing, 0.0], [0.0, 1.0]])
-    turned = np.arccos(np.clip((sides * upright).sum(axis=1) / np.hypot(*sides.T), -1.0, 1.0))
+    turned = np.arccos(np.clip((sides * upright).sum(axis=1) / lengths, -1.0, 1.0))
     if turned.max() > _TURNED:
-        return f"rotated by {np.degrees(turned.max()):.0f} degrees"
-    return ""
+        raise HiddenError(f"rotated by {np.degrees(turned.max()):.0f} degrees")
 
 
 def _on_plane(y: float, pose: CameraPose, rays: Array) -> Array:
@@ -108,6 +106,8 @@ def _on_plane(y: float, pose: CameraPose, rays: Array) -> Array:
 
 #: Displacement between two images that is always accepted (m), because of noise and the play of a module in the pipe.
 _PLAY = 0.003
+#: Largest plausible speed of a module, m/s.
+_MAX_SPEED = 0.5
 
 
 @dataclass(frozen=True)
@@ -141,22 +141,15 @@ class Tracker:
 
     Args:
         setup: setup of the tracker.
-        camera: calibrated camera; required if the setup contains none (camera_info: topic).
 
     Raises:
-        SetupError: There is no calibrated camera.
+        SetupError: The calibration file is missing or invalid.
     """
 
-    def __init__(self, setup: TrackerSetup, camera: CameraModel | None = None):
-        model = setup.camera or camera
-        if model is None:
-            raise SetupError(
-                "camera_info: topic works only in tracker_node; name a camera_info file instead"
-            )
+    def __init__(self, setup: TrackerSetup):
         self.setup = setup
-        self.camera = model
-        kind = FixedCamera if setup.pose == "fixed" else MovingCamera
-        self._pose_estimator = kind(setup, model)
+        self.camera = load_camera_info(Path(setup.camera_info))
+        self._pose_estimator = FixedCamera(setup, self.camera)
         self._misfit_reported = False
         self._last: dict[str, tuple[float, float]] = {}
 
@@ -171,13 +164,16 @@ class Tracker:
         if estimate.pose is None:
             return TrackedPositions(time, math.nan, math.nan, estimate.problem, estimate.event)
         event = estimate.event or self._misfit_event(estimate.pose)
-        fixes = {}
+        positions, reasons = {"rear": math.nan, "front": math.nan}, []
         for name, module in (("rear", self.setup.rear), ("front", self.setup.front)):
-            fix = self._fix(module, once, counts, estimate.pose)
-            fixes[name] = self._plausible(name, fix, time)
-        reasons = [f"{name} marker {fix.reason}" for name, fix in fixes.items() if fix.reason]
-        positions = fixes["rear"].position, fixes["front"].position
-        return TrackedPositions(time, *positions, "; ".join(reasons), event, estimate.pose)
+            try:
+                position = self._position(module, once, counts, estimate.pose)
+                self._check_jump(name, position, time)
+                positions[name] = position
+            except HiddenError as reason:
+                reasons.append(f"{name} marker {reason}")
+        rear, front = positions["rear"], positions["front"]
+        return TrackedPositions(time, rear, front, "; ".join(reasons), event, estimate.pose)
 
     def _misfit_event(self, pose: CameraPose) -> str:
         """Return a message the first time that the reference markers fit their positions poorly; empty otherwise."""
@@ -189,37 +185,35 @@ class Tracker:
             "setup file. x1 and x2 may be wrong by some mm: measure the positions again, or repeat the calibration"
         )
 
-    def _fix(
+    def _position(
         self,
         module: ModuleMarker,
         once: dict[int, Detection],
         counts: Counter[int],
         pose: CameraPose,
-    ) -> Fix:
-        """Return the position of a module's fin root without regard to earlier images."""
-        if counts[module.number] > 1:
-            return Fix(math.nan, f"{module.number} is visible {counts[module.number]} times")
-        if module.number not in once:
-            return Fix(math.nan, f"{module.number} is not found")
-        fix = locate(self.setup, self.camera, pose, once[module.number])
-        if fix.reason:
-            return Fix(math.nan, f"{module.number} is {fix.reason}")
-        return Fix(fix.position + module.offset - self.setup.origin)
+    ) -> float:
+        """Return the position (m) of a module's fin root in one image. Raises HiddenError."""
+        number = module.number
+        if counts[number] > 1:
+            raise HiddenError(f"{number} is visible {counts[number]} times")
+        if number not in once:
+            raise HiddenError(f"{number} is not found")
+        try:
+            position = locate(self.setup, self.camera, pose, once[number])
+        except HiddenError as reason:
+            raise HiddenError(f"{number} is {reason}") from None
+        return position + module.offset - self.setup.origin
 
-    def _plausible(self, name: str, fix: Fix, time: float) -> Fix:
-        """Return the fix if the module can have moved there since its last accepted position, else a rejected fix."""
-        if fix.reason:
-            return fix
-        before, where = self._last.get(name, (-math.inf, fix.position))
-        jump = abs(fix.position - where)
-        elapsed = time - before
-        # After the clock was set back, the elapsed time is unknown and the fix is accepted.
-        if elapsed >= 0.0 and jump > _PLAY + self.setup.max_speed * elapsed:
-            return Fix(
-                math.nan, f"is {jump * 1e3:.0f} mm from where it was {elapsed * 1e3:.0f} ms before"
+    def _check_jump(self, name: str, position: float, time: float) -> None:
+        """Raise HiddenError unless a module can have moved there since its last accepted position."""
+        before, where = self._last.get(name, (-math.inf, position))
+        jump, elapsed = abs(position - where), time - before
+        # After the clock was set back, the elapsed time is unknown and the position is accepted.
+        if elapsed >= 0.0 and jump > _PLAY + _MAX_SPEED * elapsed:
+            raise HiddenError(
+                f"is {jump * 1e3:.0f} mm from where it was {elapsed * 1e3:.0f} ms before"
             )
-        self._last[name] = (time, fix.position)
-        return fix
+        self._last[name] = (time, position)
 
 
 _OFTEN = 0.1  # share of images with a hidden module above which the level is WARN

@@ -4,20 +4,18 @@
 The pipe's frame is that of REP 103: x forward along the axis, y to the left, z up.
 """
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 from worm_driver.driver_errors import SetupError
-from worm_driver.tracking.camera_model import CameraModel, load_camera_info
 from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.settings_file import OneOf, key, read_settings
 
-#: Value of source that selects the topics of a camera.
+#: Value of source that selects the topic of a camera.
 TOPIC = "topic"
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
@@ -26,9 +24,8 @@ _PARAMETERS = tuple(
         (
             "source",
             TOPIC,
-            "Source of the images: topic, a V4L2 device such as /dev/video0, a video, or a folder of images.",
+            "Source of the images: topic, or a V4L2 device such as /dev/video0.",
         ),
-        ("image_transport", "raw", "Transport of the topic: raw or compressed."),
     )
 )
 #: Marker dictionaries (OpenCV names) with their numbers of markers.
@@ -50,9 +47,6 @@ LARGEST_MARKER = 0.5
 LARGEST_SIDEWAYS = 3.0
 #: Largest distance along the pipe's axis (m).
 LARGEST_ALONG = 20.0
-
-#: Values of ``pose``: the camera is stationary, or its pose is estimated from each image.
-POSES = ("fixed", "each_image")
 
 
 def rows() -> tuple[ParameterRow, ...]:
@@ -83,8 +77,8 @@ class ModuleLine:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rig:
-    """Markers, their positions and the rates of a tracker.
+class TrackerSetup:
+    """Setup of a tracker: markers, their positions and the camera.
 
     Attributes:
         dictionary: a key of DICTIONARIES.
@@ -92,10 +86,9 @@ class Rig:
         rear, front: markers of the modules.
         line: line along which the centres of the modules' markers move.
         reference: centre (x, y, z) of each marker fixed to the pipe, m, by marker number.
+        camera_info: path of the calibration file, in a setup file relative to it.
         rate: frame rate, Hz, assumed for images without timestamps and requested from a camera; 0 if not given.
         delay: delay from exposure to stamp, s.
-        pose: one of POSES.
-        max_speed: largest speed of a module, m/s; faster detections are rejected.
     """
 
     dictionary: Annotated[str, OneOf(tuple(DICTIONARIES))]
@@ -104,10 +97,9 @@ class Rig:
     front: ModuleMarker
     line: Annotated[ModuleLine, key("module_line")]
     reference: Mapping[MarkerNumber, Place]
+    camera_info: Annotated[str, key(min_length=1)]
     rate: Annotated[float, key("rate_hz", ge=0.0)] = 0.0
     delay: Annotated[float, key("delay_s", ge=0.0)] = 0.0
-    pose: Annotated[str, OneOf(POSES)] = "fixed"
-    max_speed: Annotated[float, key("max_speed_m_s", gt=0.0)] = 0.5
 
     @property
     def origin(self) -> float:
@@ -115,67 +107,47 @@ class Rig:
         return next(iter(self.reference.values()))[0]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SetupFile(Rig):
-    """Content of a setup file. camera_info: path of the calibration file relative to the setup file, or "topic"."""
-
-    camera_info: Annotated[str, key(min_length=1)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrackerSetup(Rig):
-    """Validated setup of a tracker. camera: calibrated camera; None if the topic camera_info describes the camera."""
-
-    camera: CameraModel | None
-
-
 def load_setup(path: Path) -> TrackerSetup:
-    """Read a setup file and the calibration that it names.
+    """Read a setup file.
 
     Raises:
-        SetupError: The setup file or the calibration is missing or invalid. The message names the problem.
+        SetupError: The setup file is missing or invalid. The message names the problem.
     """
-    file = read_settings(path, SetupFile, SetupError)
+    setup = read_settings(path, TrackerSetup, SetupError)
     try:
-        _check_numbers(file)
-        _check_places(file)
+        _check_numbers(setup)
+        _check_places(setup)
     except SetupError as error:
         raise SetupError(f"{path}: {error}") from None
-    camera = None
-    if file.camera_info != "topic":
-        camera = load_camera_info(path.parent / file.camera_info)
-    rig = {row.name: getattr(file, row.name) for row in dataclasses.fields(Rig)}
-    return TrackerSetup(**rig, camera=camera)
+    return replace(setup, camera_info=str(path.parent / setup.camera_info))
 
 
-def _check_numbers(rig: Rig) -> None:
+def _check_numbers(setup: TrackerSetup) -> None:
     """Raise SetupError for too few reference markers, or a number that is used twice or not in the dictionary."""
-    if len(rig.reference) < FEWEST_REFERENCES:
+    if len(setup.reference) < FEWEST_REFERENCES:
         raise SetupError(
-            f"reference: {FEWEST_REFERENCES} markers are needed, not {len(rig.reference)}: a single "
+            f"reference: {FEWEST_REFERENCES} markers are needed, not {len(setup.reference)}: a single "
             "marker does not determine the camera's direction, and camera motion could not be detected"
         )
-    if rig.rear.number == rig.front.number:
-        raise SetupError(
-            f"rear and front have the same marker {rig.rear.number}: give each its own"
-        )
-    for name, module in (("rear", rig.rear), ("front", rig.front)):
-        if module.number in rig.reference:
+    used = dict.fromkeys(setup.reference, "a reference")
+    for name, module in (("rear", setup.rear), ("front", setup.front)):
+        if module.number in used:
             raise SetupError(
-                f"marker {module.number} is both {name} and a reference: give each its own"
+                f"marker {module.number} is both {used[module.number]} and {name}: give each its own"
             )
-    count = DICTIONARIES[rig.dictionary]
-    for number in (rig.rear.number, rig.front.number, *rig.reference):
+        used[module.number] = name
+    count = DICTIONARIES[setup.dictionary]
+    for number in used:
         if number >= count:
-            raise SetupError(f"marker {number}: {rig.dictionary} has 0 to {count - 1}")
+            raise SetupError(f"marker {number}: {setup.dictionary} has 0 to {count - 1}")
 
 
-def _check_places(rig: Rig) -> None:
+def _check_places(setup: TrackerSetup) -> None:
     """Raise SetupError if the centres of two reference markers are closer than the side of a marker."""
-    for (other, other_place), (number, place) in itertools.combinations(rig.reference.items(), 2):
+    for (other, other_place), (number, place) in itertools.combinations(setup.reference.items(), 2):
         distance = math.dist(place, other_place)
-        if distance < rig.marker_size:
+        if distance < setup.marker_size:
             raise SetupError(
                 f"reference: {other} and {number} are {distance:g} m apart, closer than the "
-                f"{rig.marker_size:g} m width of a marker. Are the positions in m?"
+                f"{setup.marker_size:g} m width of a marker. Are the positions in m?"
             )

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_driver.virtual_robot.servo.control_table import XM430_W350
+from worm_driver.servos.registers import COMMON
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
-from worm_driver.virtual_robot.servo.virtual_servo import Servo
-from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
-from worm_driver.virtual_robot.wire.ina219_chip import BUS, CONFIGURATION, POWER, SHUNT
+from worm_driver.virtual_robot.wire import ina219_chip as ina219
 from worm_msgs.gait import FORWARD
 from worm_msgs.robot_parameters import RobotParameters
 
@@ -25,12 +24,9 @@ Array = NDArray[np.float64]
 
 _PERIOD = 0.01  # s, time between two commands
 _AVERAGING = 0x3DDF  # 32 V, 320 mV, each value the mean of 8 conversions of 12 bit, a pair of values every 8.5 ms
-_SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
-_BUS_LSB = 4e-3  # V per raw unit of the bus voltage
-_READY = 0x0002  # bit of BUS: there is a new conversion
-# These registers have the same address in every model.
-_GOAL_POSITION = XM430_W350.registers["goal_position"]
-_TORQUE_ENABLE = XM430_W350.registers["torque_enable"]
+_TORQUE_ENABLE, _GOAL_POSITION, _POSITION = (
+    COMMON[name] for name in ("torque_enable", "goal_position", "present_position")
+)
 
 
 @dataclass(frozen=True)
@@ -81,24 +77,46 @@ def run_offline(
         rest: rest before the onset, s.
         direction: FORWARD or REVERSE of `worm_msgs.gait`.
     """
-    robot = VirtualRobot(_with_fins_set(settings, direction))
+    fins = tuple(
+        replace(fin, start_angle=fin.forward_angle if direction == FORWARD else fin.reverse_angle)
+        for fin in settings.fin_servos
+    )
+    robot = VirtualRobot(replace(settings, fin_servos=fins))
     for servo in robot.servos:
         servo.write(_TORQUE_ENABLE.address, b"\x01")
-    robot.chip.write(CONFIGURATION, _AVERAGING)
-    goals: list[tuple[float, int, int]] = []
-    power: list[tuple[float, float, float]] = []
-    homes = [servo.memory["goal_position"] for servo in robot.servos]
-    steps = round((rest + duration) / _PERIOD)
-    for index in range(steps + 1):
+    robot.chip.write(ina219.CONFIGURATION, _AVERAGING)
+    first, homes = robot.servos[0], [servo.memory["goal_position"] for servo in robot.servos]
+    goals: list[tuple[float, ...]] = []
+    power: list[tuple[float, ...]] = []
+    for index in range(round((rest + duration) / _PERIOD) + 1):
         time = index * _PERIOD
         robot.advance(time)
         change = command(time - rest) if time > rest else _tensioned(time, rest) * command(0.0)
         for item, servo, home in zip(settings.cable_servos, robot.servos, homes, strict=False):
             ticks = round(-item.sign * change / item.spool_radius * PULSES_PER_RADIAN)
-            servo.write(_GOAL_POSITION.address, _GOAL_POSITION.encode(home + ticks))
-        goals.append((time, *_cable_ticks(robot.servos[0], homes[0])))
+            servo.write(_GOAL_POSITION.address, _GOAL_POSITION.pack(home + ticks))
+        position = first.read(_POSITION.address, _POSITION.size)
+        reached = _POSITION.unpack(position)
+        goals.append((time, first.memory["goal_position"] - homes[0], reached - homes[0]))
         power += _power_sample(robot, time)
-    return _collect(rest, goals, power, robot.take_samples(math.inf), robot)
+    seen = [(s.time, s.rear_position, s.front_position) for s in robot.take_samples()]
+    servo_time, goal, encoder = np.array(goals).T
+    tracker_time, rear, front = np.array(seen).T
+    power_time, voltage, current = np.array(power).T
+    truth = robot.plant.parameters
+    return Rehearsal(
+        rest,
+        servo_time,
+        goal,
+        encoder,
+        tracker_time,
+        rear,
+        front,
+        power_time,
+        voltage,
+        current,
+        truth,
+    )
 
 
 def _tensioned(time: float, rest: float) -> float:
@@ -110,54 +128,12 @@ def _tensioned(time: float, rest: float) -> float:
     return 0.5 * (1.0 - math.cos(math.pi * min(time / (0.5 * rest), 1.0))) if rest else 1.0
 
 
-def _with_fins_set(settings: RobotSettings, direction: int) -> RobotSettings:
-    fins = tuple(
-        replace(fin, start_angle=fin.forward_angle if direction == FORWARD else fin.reverse_angle)
-        for fin in settings.fin_servos
-    )
-    return replace(settings, fin_servos=fins)
-
-
-def _cable_ticks(servo: Servo, home: int) -> tuple[int, int]:
-    """Return goal and encoder position relative to the start, ticks."""
-    row = XM430_W350.registers["present_position"]
-    position = row.decode(servo.read(row.address, row.size))
-    return servo.memory["goal_position"] - home, position - home
-
-
-def _power_sample(robot: VirtualRobot, time: float) -> list[tuple[float, float, float]]:
+def _power_sample(robot: VirtualRobot, time: float) -> list[tuple[float, ...]]:
     """Return one row (time, bus voltage, current) if the sensor has a new conversion, else an empty list."""
-    bus = robot.chip.read(BUS)
-    if not bus & _READY:
+    bus = robot.chip.read(ina219.BUS)
+    if not bus & ina219.CONVERSION_READY:
         return []
-    shunt = robot.chip.read(SHUNT)
-    robot.chip.read(POWER)  # clears the ready bit
-    signed = shunt - 0x10000 if shunt & 0x8000 else shunt
-    current = signed * _SHUNT_LSB / robot.settings.power_sensor.shunt
-    return [(time, (bus >> 3) * _BUS_LSB, current)]
-
-
-def _collect(
-    onset: float,
-    goals: list[tuple[float, int, int]],
-    power: list[tuple[float, float, float]],
-    samples: list[TrackerSample],
-    robot: VirtualRobot,
-) -> Rehearsal:
-    servo_time, goal_ticks, encoder_ticks = np.array(goals, dtype=float).T
-    power_time, bus_voltage, current = np.array(power, dtype=float).T
-    rows = [(sample.time, sample.rear_position, sample.front_position) for sample in samples]
-    tracker_time, rear, front = np.array(rows, dtype=float).T
-    return Rehearsal(
-        onset,
-        servo_time,
-        goal_ticks,
-        encoder_ticks,
-        tracker_time,
-        rear,
-        front,
-        power_time,
-        bus_voltage,
-        current,
-        robot.plant.parameters,
-    )
+    shunt = ina219.signed(robot.chip.read(ina219.SHUNT))
+    robot.chip.read(ina219.POWER)  # clears the ready bit
+    current = shunt * ina219.SHUNT_LSB / robot.settings.power_sensor.shunt
+    return [(time, (bus >> 3) * ina219.BUS_LSB, current)]

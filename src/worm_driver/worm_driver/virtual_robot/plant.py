@@ -190,27 +190,16 @@ class Plant:
             cable: cable displacement since the start, m; contraction is negative.
             laws: directions in which the rear and the front fins slide (FORWARD, REVERSE or LOOSE).
         """
-        if self.effects.cable_stiffness > 0.0:
-            return self._pulled(state, cable, laws)
-        p = self.parameters
         taken, cable_rest = self._slack(state, cable)
-        length_change, length_rate = self._actuate(state.length_change, cable, taken=taken)
         x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
-        share = self._share
-        v1_before = state.centre_velocity - share * state.length_rate
-        rear_load, front_load = self._loads(x1, v1_before, v1_before + state.length_rate)
-        rear_force, front_force = rear_force + rear_load, front_force + front_load
-        velocity, drag1 = self._push(state, length_rate, rear_force + front_force)
-        v1 = velocity - share * length_rate
-        force = (  # eq:Fc
-            p.rear_mass * (v1 - v1_before) / self.step_s
-            + p.bellows_stiffness * (p.unstressed_length - p.initial_length - length_change)
-            - p.bellows_damping * length_rate
-            + drag1 * v1
-            + rear_force
-        )
+        v1 = state.centre_velocity - self._share * state.length_rate
+        rear_load, front_load = self._loads(x1, v1, v1 + state.length_rate)
+        forces = rear_force + rear_load, front_force + front_load
+        wound = min(cable, -self.parameters.slack if taken else 0.0)
+        move = self._pulled if self.effects.cable_stiffness > 0.0 else self._commanded
+        length_change, length_rate, velocity, cable_force = move(state, wound, forces)
         return PlantState(
             length_change,
             length_rate,
@@ -220,60 +209,76 @@ class Plant:
             front_groove,
             taken,
             cable_rest,
-            force,
-            max(-force * length_rate, 0.0),
+            cable_force,
+            max(-cable_force * length_rate, 0.0),
         )
 
     def electrical_power(self, state: PlantState) -> float:
         """Return the power (W) at the source (eq:power_model), without noise."""
         return self.parameters.idle_power + self.parameters.power_factor * state.mechanical_power
 
-    def _pulled(self, state: PlantState, cable: float, laws: tuple[int, int]) -> PlantState:
-        """Return the state one step later with a compliant cable (eq:x1_ddot_full, eq:x2_ddot_full).
+    def _commanded(
+        self, state: PlantState, wound: float, forces: tuple[float, float]
+    ) -> tuple[float, float, float, float]:
+        """Return length change, its rate, velocity of the centre and cable force one step later, with a rigid cable.
+
+        The length depends on the command alone (eq:slack_clip, eq:first_order_actuation). Friction and drag are
+        integrated implicitly, which is stable for any step.
+
+        Args:
+            state: the present state.
+            wound: cable displacement without the slack, m.
+            forces: fin force and load of the rear and the front module, N, positive towards -x.
+        """
+        p, share = self.parameters, self._share
+        goal = p.gain * wound
+        length_change = goal + (state.length_change - goal) * self._decay
+        length_rate = (goal - length_change) / p.time_constant
+        v1 = state.centre_velocity - share * length_rate
+        drag1, drag2 = self._drags(v1, v1 + length_rate)
+        pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - (forces[0] + forces[1])
+        inertia = (p.rear_mass + p.front_mass) / self.step_s
+        velocity = (inertia * state.centre_velocity + pull) / (inertia + drag1 + drag2)
+        v1_before = state.centre_velocity - share * state.length_rate
+        v1 = velocity - share * length_rate
+        cable_force = (  # eq:Fc
+            p.rear_mass * (v1 - v1_before) / self.step_s
+            + p.bellows_stiffness * (p.unstressed_length - p.initial_length - length_change)
+            - p.bellows_damping * length_rate
+            + drag1 * v1
+            + forces[0]
+        )
+        return length_change, length_rate, velocity, cable_force
+
+    def _pulled(
+        self, state: PlantState, wound: float, forces: tuple[float, float]
+    ) -> tuple[float, float, float, float]:
+        """Return the same as `_commanded`, with a compliant cable (eq:x1_ddot_full, eq:x2_ddot_full).
 
         Cable, bellows and friction are integrated implicitly, the fin forces explicitly. A cable that would have to
         push is slack: its force is zero.
         """
-        p, h = self.parameters, self.step_s
-        taken, cable_rest = self._slack(state, cable)
-        x1, x2 = self.positions(state)
-        rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
-        front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
-        share = self._share
+        p, h, share = self.parameters, self.step_s, self._share
         v1 = state.centre_velocity - share * state.length_rate
         v2 = v1 + state.length_rate
-        rear_load, front_load = self._loads(x1, v1, v2)
-        rear_force, front_force = rear_force + rear_load, front_force + front_load
         drag1, drag2 = self._drags(v1, v2)
-        rear = p.rear_mass / h, p.rear_mass * v1 / h - rear_force, drag1
-        front = p.front_mass / h, p.front_mass * v2 / h - front_force, drag2
+        rear = p.rear_mass / h, p.rear_mass * v1 / h - forces[0], drag1
+        front = p.front_mass / h, p.front_mass * v2 / h - forces[1], drag2
         preload = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
         bellows = p.bellows_stiffness * state.length_change - preload
         stiffness = self.effects.cable_stiffness
-        pull = preload + stiffness * (state.length_change - min(cable, -p.slack if taken else 0.0))
+        pull = preload + stiffness * (state.length_change - wound)
         for held, k in ((pull, stiffness), (0.0, 0.0)):  # first a taut cable, then a slack one
             inner = (k + p.bellows_stiffness) * h + p.bellows_damping
             a1, a2 = rear[0] + rear[2] + inner, front[0] + front[2] + inner
             b1, b2 = rear[1] + held + bellows, front[1] - held - bellows
             determinant = a1 * a2 - inner * inner
             v1, v2 = (b1 * a2 + b2 * inner) / determinant, (b2 * a1 + b1 * inner) / determinant
-            force = held + k * h * (v2 - v1)
-            if force >= 0.0:
+            cable_force = held + k * h * (v2 - v1)
+            if cable_force >= 0.0:
                 break
         rate = v2 - v1
-        velocity = v1 + share * rate
-        return PlantState(
-            state.length_change + h * rate,
-            rate,
-            state.centre + h * velocity,
-            velocity,
-            rear_groove,
-            front_groove,
-            taken,
-            cable_rest,
-            force,
-            max(-force * rate, 0.0),
-        )
+        return state.length_change + h * rate, rate, v1 + share * rate, cable_force
 
     def _loads(self, x1: float, v1: float, v2: float) -> tuple[float, float]:
         """Return the loads of the rear and the front module (N).
@@ -309,34 +314,6 @@ class Plant:
             return True, 0.0
         cable_rest = state.cable_rest + self.step_s
         return state.slack_taken and cable_rest < self.effects.slack_release, cable_rest
-
-    def _actuate(self, length_change: float, cable: float, *, taken: bool) -> tuple[float, float]:
-        """Return length change and rate one step later (eq:slack_clip, eq:first_order_actuation)."""
-        p = self.parameters
-        effective = min(cable, -p.slack if taken else 0.0)
-        goal = p.gain * effective
-        new = goal + (length_change - goal) * self._decay
-        return new, (goal - new) / p.time_constant
-
-    def _push(self, state: PlantState, length_rate: float, forces: float) -> tuple[float, float]:
-        """Return the velocity of the centre of mass one step later, and the value of `_drags` for the rear module.
-
-        Friction and drag are integrated implicitly, which is stable for any step.
-
-        Args:
-            state: the present state.
-            length_rate: derivative of the length change one step later, m/s.
-            forces: sum of the fin forces and loads, N, positive towards -x.
-        """
-        p = self.parameters
-        share = self._share
-        v1 = state.centre_velocity - share * length_rate
-        v2 = v1 + length_rate
-        drag1, drag2 = self._drags(v1, v2)
-        pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - forces
-        inertia = (p.rear_mass + p.front_mass) / self.step_s
-        velocity = (inertia * state.centre_velocity + pull) / (inertia + drag1 + drag2)
-        return velocity, drag1
 
     def _fin(self, x: float, groove: int, law: int, grooves: Grooves) -> tuple[int, float]:
         """Return the anchor's groove (eq:A1_switch) and the fin force in N (eq:fin_force_piecewise)."""

@@ -20,16 +20,15 @@ import time
 import tty
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from worm_driver import simulated_clock
 from worm_driver.power import socket_smbus as frames
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
 from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
-from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
 from worm_driver.virtual_robot.wire.faults import Fault
+from worm_msgs.input_error import InputError
 
 SERIAL_NAME = "servo_bus"
 I2C_NAME = "i2c.sock"
@@ -45,7 +44,7 @@ _SPEEDS = {
 }
 
 
-class DirectoryError(Exception):
+class DirectoryError(InputError):
     """The directory cannot be used. The message contains reason and remedy."""
 
 
@@ -80,16 +79,6 @@ class PtyPort:
 
 
 Port = PtyPort | socket.socket
-
-
-@dataclass(order=True)
-class _Pending:
-    """Bytes to send at a later time."""
-
-    time: float
-    order: int
-    data: bytes = field(compare=False)
-    port: Port = field(compare=False)
 
 
 class RobotServer:
@@ -135,7 +124,8 @@ class RobotServer:
         self._selector = selectors.SelectSelector()  # epoll would round timeouts up to 1 ms
         self._serial: PtyPort | None = None
         self._opened = False
-        self._pending: list[_Pending] = []
+        # Heap of bytes to send later: time, number of the entry, bytes and port.
+        self._pending: list[tuple[float, int, bytes, Port]] = []
         self._sent = 0
         self._commands: deque[Callable[[float], None]] = deque()
         self._stopped = False
@@ -178,8 +168,7 @@ class RobotServer:
             self._send_due()
             self._on_time(self.now())
             self._wake_due()
-            samples = self._robot.take_samples(self.now())
-            if samples:
+            if samples := self._robot.take_samples():
                 self._on_samples(samples)
 
     def stop(self) -> None:
@@ -247,7 +236,7 @@ class RobotServer:
     def _next_event(self) -> float:
         """Return the time (s) of the next event. Simulated time must not advance past it."""
         dues = [client.wait.until for client in self._clients.values() if client.wait is not None]
-        dues += [item.time for item in self._pending[:1]]
+        dues += [due for due, *_ in self._pending[:1]]
         return min([*dues, self.time.now + _WAKE_UP])
 
     def _time_to_update(self) -> float:
@@ -256,7 +245,7 @@ class RobotServer:
         if not clients:
             wait = _WAKE_UP
             if self._pending:
-                wait = min(wait, self._pending[0].time - self.now())
+                wait = min(wait, self._pending[0][0] - self.now())
             return max(wait, 0.0)
         if all(p.waits(self._bytes_sent, self._bytes_received) for p in clients):
             return max(self.time.machine_time(self._next_event()) - machine, 0.0)
@@ -307,13 +296,13 @@ class RobotServer:
             self._write(data, port)
             return
         self._sent += 1
-        heapq.heappush(self._pending, _Pending(due, self._sent, data, port))
+        heapq.heappush(self._pending, (due, self._sent, data, port))
 
     def _send_due(self) -> None:
         now = self.now()
-        while self._pending and self._pending[0].time <= now:
-            item = heapq.heappop(self._pending)
-            self._write(item.data, item.port)
+        while self._pending and self._pending[0][0] <= now:
+            _, _, data, port = heapq.heappop(self._pending)
+            self._write(data, port)
 
     def _write(self, data: bytes, port: Port) -> None:
         """Send bytes, and end the waits of the clients that wait for bytes from this port."""
@@ -350,7 +339,10 @@ class RobotServer:
     def _begin_line(self) -> None:
         """Reset the byte counts and drop bytes in transit to an earlier client."""
         self._bytes_sent = self._bytes_received = 0.0
-        self._pending = [item for item in self._pending if item.port is not self._serial]
+        self._drop_pending()
+
+    def _drop_pending(self) -> None:
+        self._pending = [item for item in self._pending if item[3] is not self._serial]
         heapq.heapify(self._pending)
 
     def _cut_line(self) -> None:
@@ -388,11 +380,10 @@ class RobotServer:
 
     def _follow_plug(self) -> None:
         """Close the serial port when a fault unplugs it, and open it again when the fault ends."""
-        unplugged = self._robot.board.active(faults.UNPLUGGED, self.now()) is not None
+        unplugged = self._robot.board.active("unplugged", self.now()) is not None
         if unplugged and self._serial is not None:
             self._selector.unregister(self._serial.master)
-            self._pending = [item for item in self._pending if item.port is not self._serial]
-            heapq.heapify(self._pending)
+            self._drop_pending()
             self._serial.close()
             self._serial = None
             self._cut_line()

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from random import Random
 
-from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, PROTOCOL_2, XM430_W350
+from worm_driver.servos.registers import COMMON
+from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, PROTOCOL_2
 from worm_driver.virtual_robot.servo.register_memory import RegisterError
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
-from worm_driver.virtual_robot.wire import faults
-from worm_driver.virtual_robot.wire.faults import FaultBoard
+from worm_driver.virtual_robot.wire.faults import Fault, FaultBoard
 from worm_driver.virtual_robot.wire.packet import (
     ALERT,
     BROADCAST_ID,
@@ -21,8 +21,7 @@ from worm_driver.virtual_robot.wire.packet import (
     status_packet,
 )
 
-#: Register present_position. Its address is the same in every model.
-_POSITION = XM430_W350.registers["present_position"]
+_POSITION = COMMON["present_position"]
 #: s, longest gap between the bytes of a packet; 1.5 ms on a real line, but a pseudo-terminal is read when the scheduler
 #: permits
 _ALLOWED_GAP = 0.050
@@ -82,26 +81,26 @@ class ServoBus:
             for servo in self._servos
             if servo.answers(time)
             and servo.memory["protocol_type"] == PROTOCOL_2
-            and not self._board.active(faults.VANISHED, time, servo.servo_id)
+            and not self._board.active("vanished", time, servo.servo_id)
             and baud_rate in (None, BAUD_RATES[servo.memory["baud_rate"]])
         ]
-        if not packet.intact:
-            answers = [
-                _answer_of(servo, Error.CRC)
-                for servo in listening
-                if servo.servo_id == packet.servo_id
-            ]
-            return self._send_each(answers, time)
         match packet.instruction:
+            case _ if not packet.intact:
+                meant = (servo for servo in listening if servo.servo_id == packet.servo_id)
+                answers = [_answer_of(servo, Error.CRC) for servo in meant]
             case Instruction.SYNC_READ:
                 answers = _group_read(packet, listening, time)
-                return self._send_each(self._misread(packet, answers, time), time)
             case Instruction.SYNC_WRITE:
                 _group_write(packet, listening, time)
-                return []
+                answers = []
             case _:
                 answers = _obey(packet, listening, time)
-                return self._send_each(self._misread(packet, answers, time), time)
+        sent: list[Transmission] = []
+        due = time
+        for answer in self._misread(packet, answers, time):
+            due += answer.delay
+            sent += self._spoil(answer, due)
+        return sent
 
     def _misread(
         self, packet: Packet, answers: Sequence[_Answer], time: float
@@ -110,7 +109,7 @@ class ServoBus:
         is_read = packet.instruction in (Instruction.READ, Instruction.SYNC_READ)
         if not is_read or len(packet.parameters) < 4:
             return answers
-        address, length = _range(packet.parameters, exactly=False)
+        address, length = _range(packet.parameters)
         begin = _POSITION.address - address
         end = begin + _POSITION.size
         if begin < 0 or end > length:
@@ -118,41 +117,33 @@ class ServoBus:
         return [
             replace(answer, data=_offset(answer.data, begin, end, int(fault.value)))
             if answer.data
-            and (fault := self._board.consume(faults.WRONG_POSITION, time, answer.servo_id))
+            and (fault := self._board.consume("wrong_position", time, answer.servo_id))
             else answer
             for answer in answers
         ]
 
-    def _send_each(self, answers: Sequence[_Answer], time: float) -> list[Transmission]:
-        sent: list[Transmission] = []
-        due = time
-        for answer in answers:
-            due += answer.delay
-            sent += self._spoil(answer, due)
-        return sent
-
     def _spoil(self, answer: _Answer, due: float) -> list[Transmission]:
         """Return the status packet of an answer, changed by the active faults of the serial line."""
 
-        def take(name: str) -> faults.Fault | None:
+        def take(name: str) -> Fault | None:
             return self._board.consume(name, due, answer.servo_id)
 
-        if take(faults.NO_ANSWER):
+        if take("no_answer"):
             return []
-        if fault := take(faults.ERROR_NUMBER):
+        if fault := take("error"):
             answer = replace(answer, error=int(fault.value) | answer.error & ALERT, data=b"")
-        sender = take(faults.WRONG_ID)
+        sender = take("wrong_id")
         servo_id = answer.servo_id if sender is None else int(sender.value)
         data = status_packet(servo_id, answer.error, answer.data)
-        if take(faults.CORRUPTED_CRC):
+        if take("corrupted_crc"):
             data = data[:-1] + bytes([data[-1] ^ 0x5A])
-        if take(faults.TRUNCATED):
+        if take("truncated"):
             data = data[: len(data) // 2]
-        if take(faults.DUPLICATED):
+        if take("duplicated"):
             data += data
-        if take(faults.FUZZED):
+        if take("fuzzed"):
             data = _fuzz(data, self._random)
-        if fault := take(faults.LATE):
+        if fault := take("late"):
             due += fault.value
         return [Transmission(due, data)]
 
@@ -179,28 +170,25 @@ def _fuzz(data: bytes, random: Random) -> bytes:
 def _obey(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answer]:
     """Execute an instruction for one servo or for all. Return the answers in the order of ids."""
     broadcast = packet.servo_id == BROADCAST_ID
+    is_ping, is_read = (packet.instruction == i for i in (Instruction.PING, Instruction.READ))
     meant = [servo for servo in listening if broadcast or servo.servo_id == packet.servo_id]
     answers = []
     for servo in sorted(meant, key=lambda servo: servo.servo_id):
         level = servo.memory["status_return_level"]
-        answer = _do(servo, packet, time)
-        is_ping = packet.instruction == Instruction.PING
-        is_read = packet.instruction == Instruction.READ
+        servo.feed_watchdog(time)
+        answer = _answer_of(
+            servo
+        )  # A write may change id and delay. The answer has the old values.
+        try:
+            data = _execute(servo, packet, time)
+        except RegisterError as error:
+            answer = replace(answer, error=error.number | servo.alert())
+        else:
+            if packet.instruction != Instruction.REBOOT:
+                answer = replace(answer, error=servo.alert(), data=data)
         if is_ping or (not broadcast and (level == 2 or (level == 1 and is_read))):
             answers.append(answer)
     return answers
-
-
-def _do(servo: Servo, packet: Packet, time: float) -> _Answer:
-    servo.feed_watchdog(time)
-    before = _answer_of(servo)  # A write may change id and delay. The answer has the old values.
-    try:
-        data = _execute(servo, packet, time)
-    except RegisterError as error:
-        return replace(before, error=error.number | servo.alert())
-    if packet.instruction == Instruction.REBOOT:
-        return before
-    return replace(before, error=servo.alert(), data=data)
 
 
 def _execute(servo: Servo, packet: Packet, time: float) -> bytes:
@@ -209,9 +197,13 @@ def _execute(servo: Servo, packet: Packet, time: float) -> bytes:
         case Instruction.PING:
             return servo.read(0, 2) + servo.read(6, 1)
         case Instruction.READ:
-            return servo.read(*_range(parameters, exactly=True))
+            if len(parameters) != 4:
+                raise RegisterError(Error.DATA_LENGTH)
+            return servo.read(*_range(parameters))
         case Instruction.WRITE:
-            servo.write(_address(parameters), parameters[2:])
+            if len(parameters) < 3:
+                raise RegisterError(Error.DATA_LENGTH)
+            servo.write(int.from_bytes(parameters[:2], "little"), parameters[2:])
         case Instruction.REBOOT:
             servo.reboot(time)
         case _:
@@ -219,16 +211,8 @@ def _execute(servo: Servo, packet: Packet, time: float) -> bytes:
     return b""
 
 
-def _address(parameters: bytes) -> int:
-    if len(parameters) < 3:
-        raise RegisterError(Error.DATA_LENGTH)
-    return int.from_bytes(parameters[:2], "little")
-
-
-def _range(parameters: bytes, *, exactly: bool) -> tuple[int, int]:
-    """Return address and length from the first four parameter bytes. Raises RegisterError."""
-    if len(parameters) < 4 or (exactly and len(parameters) != 4):
-        raise RegisterError(Error.DATA_LENGTH)
+def _range(parameters: bytes) -> tuple[int, int]:
+    """Return address and length from the first four parameter bytes."""
     return int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")
 
 
@@ -239,7 +223,7 @@ def _group_read(packet: Packet, listening: Sequence[Servo], time: float) -> list
     """
     if len(packet.parameters) < 5:
         return []
-    address, length = _range(packet.parameters, exactly=False)
+    address, length = _range(packet.parameters)
     by_id = {servo.servo_id: servo for servo in listening}
     answers = []
     for servo in filter(None, map(by_id.get, packet.parameters[4:])):
@@ -258,7 +242,7 @@ def _group_write(packet: Packet, listening: Sequence[Servo], time: float) -> Non
     parameters = packet.parameters
     if len(parameters) < 4:
         return
-    address, length = _range(parameters, exactly=False)
+    address, length = _range(parameters)
     items = [parameters[i : i + length + 1] for i in range(4, len(parameters), length + 1)]
     if any(len(item) != length + 1 for item in items):
         return

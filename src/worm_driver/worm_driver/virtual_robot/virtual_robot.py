@@ -5,33 +5,28 @@ No method reads a clock: time is an argument. Equal settings and equal bytes at 
 results.
 """
 
+import errno
 import math
-from collections import deque
 from dataclasses import dataclass, replace
 from random import Random
 
+from worm_driver.power import socket_smbus as frames
 from worm_driver.power.socket_smbus import Answer, Request
+from worm_driver.servos.registers import EXTENDED_POSITION_MODE, POSITION_MODE
 from worm_driver.virtual_robot.plant import LOOSE, Plant, make_grooves
-from worm_driver.virtual_robot.servo.control_table import (
-    BAUD_RATES,
-    EXTENDED_POSITION_MODE,
-    POSITION_MODE,
-)
-from worm_driver.virtual_robot.servo.drive import OVERLOAD_ERROR
+from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
-from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.servo.virtual_servo import OVERLOAD_ERROR, Servo
 from worm_driver.virtual_robot.virtual_bus import ServoBus, Transmission
 from worm_driver.virtual_robot.virtual_settings import (
     CableServoSettings,
     FinServoSettings,
-    LineSettings,
     RobotSettings,
     TrackerSettings,
     perturbed,
 )
-from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import FaultBoard
-from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, I2cLine, Ina219
+from worm_driver.virtual_robot.wire.ina219_chip import Ina219
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters
@@ -44,13 +39,11 @@ class TrackerSample:
     Attributes:
         time: time of the exposure, s.
         rear_position, front_position: x1 and x2, m; NaN while the marker is hidden.
-        available: time at which the sample can be read, s.
     """
 
     time: float
     rear_position: float
     front_position: float
-    available: float
 
 
 class Tracker:
@@ -72,7 +65,7 @@ class Tracker:
         self._exposures += 1
         self.next_exposure = self._exposures / self._settings.rate
         positions = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]
-        return TrackerSample(time, positions[0], positions[1], time + self._settings.latency)
+        return TrackerSample(time, *positions)
 
     def _see(self, marker: int, time: float, true: float) -> float:
         # Both numbers are drawn each time, so that an occlusion does not change the noise after it.
@@ -112,11 +105,10 @@ class VirtualRobot:
         self.servos = tuple(servo for _, servo in [*self._cable, *self._fins])
         self._bus = ServoBus(self.servos, self.board, self._random("fuzz"))
         sensor = settings.power_sensor
-        self.chip = Ina219(AdcNoise(sensor.shunt_noise, sensor.bus_noise), self._random("sensor"))
-        self._i2c = I2cLine(self.chip, sensor.address, self.board)
+        self.chip = Ina219(sensor.shunt_noise, sensor.bus_noise, self._random("sensor"))
         self._tracker = Tracker(settings.tracker, self._random("tracker"))
         self._ripple = self._random("ripple")
-        self._samples: deque[TrackerSample] = deque()
+        self._samples: list[TrackerSample] = []
         self._vanished: set[int] = set()
         self.laws = (LOOSE, LOOSE)
         self._fin_positions: list[float] = []
@@ -132,9 +124,15 @@ class VirtualRobot:
         return Random(f"{self.settings.seed} {self.settings.recording} {purpose}")
 
     def _make_servo(self, item: CableServoSettings | FinServoSettings, mode: int) -> Servo:
+        eeprom = {
+            "id": item.id,
+            "baud_rate": BAUD_RATES.index(self.settings.line.baud_rate),
+            "return_delay_time": 0,
+            "operating_mode": mode,
+        }
         return Servo(
             item.model,
-            _eeprom(item.id, self.settings.line, mode),
+            eeprom,
             item.start_angle * PULSES_PER_RADIAN,
             self.settings.line.boot_time,
             self._random(f"servo {item.id}"),
@@ -159,15 +157,23 @@ class VirtualRobot:
         return self._bus.feed(data, time, baud_rate)
 
     def transact(self, request: Request, time: float) -> Answer:
-        """Return the power sensor's answer to a transaction at a time (s)."""
+        """Execute a transaction of the I2C bus, which acknowledges only the power sensor, at a time (s)."""
         self.advance(time)
-        return self._i2c.transact(request, time)
+        if hang := self.board.consume("i2c_timeout", time):
+            return Answer(errno.ETIMEDOUT, delay=hang.value)
+        address = self.settings.power_sensor.address
+        if request.address != address or self.board.consume("i2c_nack", time):
+            return Answer(errno.EREMOTEIO)
+        if request.operation == frames.WRITE:
+            # The chip accepts exactly two bytes per register, most significant byte first.
+            if len(request.data) == 2:
+                self.chip.write(request.register, int.from_bytes(request.data, "big"))
+            return Answer(0)
+        return Answer(0, self.chip.read(request.register).to_bytes(2, "big"))
 
-    def take_samples(self, time: float) -> list[TrackerSample]:
-        """Remove and return the camera samples that are available at a time (s)."""
-        samples = []
-        while self._samples and self._samples[0].available <= time:
-            samples.append(self._samples.popleft())
+    def take_samples(self) -> list[TrackerSample]:
+        """Remove and return the camera samples."""
+        samples, self._samples = self._samples, []
         return samples
 
     # --- one step -------------------------------------------------------------------------------
@@ -178,7 +184,7 @@ class VirtualRobot:
         time = self._steps * step_s
         pull = max(self.state.cable_force, 0.0) / len(self._cable)
         for item, servo in self._cable:
-            servo.surroundings.load = item.sign * pull * item.spool_radius
+            servo.load = item.sign * pull * item.spool_radius
         for servo in self.servos:
             servo.step(time, step_s)
         self._set_laws()
@@ -191,7 +197,7 @@ class VirtualRobot:
 
     def _expose(self, time: float) -> TrackerSample:
         sample = self._tracker.expose(time, *self.plant.positions(self.state))
-        if self.board.active(faults.OCCLUDED, time) is None:
+        if self.board.active("occluded", time) is None:
             return sample
         return replace(sample, rear_position=math.nan, front_position=math.nan)
 
@@ -243,45 +249,40 @@ class VirtualRobot:
                 servo.supervise(_SUPERVISION)
         self._disturb_sensor(time)
         self._load(time)
-        if self.board.consume(faults.PUT_BACK, time):
+        if self.board.consume("put_back", time):
             self.state = self.plant.put_back(self.state)
         self.board.forget_past(time)
 
     def _load(self, time: float) -> None:
-        steeper = self.board.active(faults.SLOPE, time)
-        pulled = self.board.active(faults.TETHER, time)
         conditions = self.settings.conditions
-        for name, fault in (("slope_deg", steeper), ("tether_n", pulled)):
-            if fault is not None:
+        for name, kind in (("slope_deg", "slope"), ("tether_n", "tether")):
+            if fault := self.board.active(kind, time):
                 low, high = CONDITION_ROWS[name]["low"], CONDITION_ROWS[name]["high"]
                 value = min(max(getattr(conditions, name) + fault.value, low), high)
                 conditions = replace(conditions, **{name: value})
-        if conditions is not self.plant.conditions and conditions != self.plant.conditions:
+        if conditions != self.plant.conditions:
             self.plant = replace(self.plant, conditions=conditions)
 
     def _surround(self, servo: Servo, time: float) -> None:
-        board, around, servo_id = self.board, servo.surroundings, servo.servo_id
-        low = board.active(faults.INPUT_VOLTAGE, time, servo_id)
-        around.voltage = self.bus_voltage if low is None else low.value
-        hot = board.active(faults.OVERHEATING, time, servo_id)
-        around.ambient = 25.0 if hot is None else 25.0 + _TOO_HOT
-        around.blocked = board.active(faults.STALLED, time, servo_id) is not None
-        if board.active(faults.OVERLOAD, time, servo_id):
+        board, servo_id = self.board, servo.servo_id
+        low = board.active("input_voltage", time, servo_id)
+        servo.voltage = self.bus_voltage if low is None else low.value
+        hot = board.active("overheating", time, servo_id)
+        servo.ambient = 25.0 if hot is None else 25.0 + _TOO_HOT
+        servo.blocked = board.active("stalled", time, servo_id) is not None
+        if board.active("overload", time, servo_id):
             servo.raise_alert(OVERLOAD_ERROR)
-        if board.active(faults.VANISHED, time, servo_id):
-            if servo_id not in self._vanished:
-                self._vanished.add(servo_id)
-                servo.reboot(time)  # without supply the torque is off at once
-        elif servo_id in self._vanished:
-            self._vanished.remove(servo_id)
-            servo.reboot(time)
+        vanished = board.active("vanished", time, servo_id) is not None
+        if vanished != (servo_id in self._vanished):
+            self._vanished ^= {servo_id}
+            servo.reboot(time)  # without supply the torque is off at once
 
     def _disturb_sensor(self, time: float) -> None:
-        overflow = self.board.active(faults.INA219_OVERFLOW, time)
-        surge = overflow or self.board.active(faults.INA219_SATURATION, time)
+        overflow = self.board.active("ina219_overflow", time)
+        surge = overflow or self.board.active("ina219_saturation", time)
         self._extra_current = 0.0 if surge is None else surge.value
         self.chip.forced_overflow = overflow is not None
-        if self.board.consume(faults.INA219_RESET, time):
+        if self.board.consume("ina219_reset", time):
             self.chip.power_on()
 
 
@@ -296,13 +297,3 @@ def _make_plant(settings: RobotSettings) -> Plant:
     seed, body = settings.seed, body_of(settings)
     rear, front = (make_grooves(body, settings.effects, 2 * seed + i) for i in range(2))
     return Plant(body, settings.effects, rear, front, settings.step, settings.conditions)
-
-
-def _eeprom(servo_id: int, line: LineSettings, mode: int) -> dict[str, int]:
-    """Return the raw EEPROM values of a servo that is set up for the robot."""
-    return {
-        "id": servo_id,
-        "baud_rate": BAUD_RATES.index(line.baud_rate),
-        "return_delay_time": round(line.return_delay / 2e-6),
-        "operating_mode": mode,
-    }

@@ -31,7 +31,6 @@ class LineSettings:
     """Settings of the serial line and of all servos on it. Units are in the keys; the baud rate is in bit/s."""
 
     baud_rate: Annotated[int, OneOf(BAUD_RATES)]
-    return_delay: Annotated[float, key("return_delay_s", ge=0.0)]
     boot_time: Annotated[float, key("boot_time_s", ge=0.0)]
 
 
@@ -97,7 +96,6 @@ class TrackerSettings:
     noise: Annotated[float, key("noise_m", ge=0.0)]
     occlusion_rate: Annotated[float, key("occlusion_rate_Hz", ge=0.0)]
     occlusion: Annotated[float, key("occlusion_s", ge=0.0)]
-    latency: Annotated[float, key("latency_s", ge=0.0)]
 
 
 @dataclass(frozen=True)
@@ -127,10 +125,6 @@ class RobotSettings:
     conditions: Conditions = LEVEL
     parameter_spread: Annotated[float, key(ge=0.0)] = 0.0
     recording: int = 0
-
-    def with_seed(self, seed: int) -> "RobotSettings":
-        """Return these settings with another seed."""
-        return replace(self, seed=seed)
 
 
 def perturbed(body: RobotParameters, spread: float, random: Random) -> RobotParameters:

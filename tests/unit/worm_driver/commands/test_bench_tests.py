@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The virtual robot on a test bench: identification finds its stiffnesses."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from worm_model.identification.inputs import read_bench_test
 
 def test_the_files_hold_what_is_true_of_the_robot(tmp_path: Path):
     assert bench_tests.main([str(tmp_path), "--seed", "3"]) == 0
-    truth = body_of(load_settings().with_seed(3))
+    truth = body_of(replace(load_settings(), seed=3))
     stiffness = bellows.fit_bellows(*columns(tmp_path / "bellows.csv", bellows.COLUMNS)).stiffness
     assert stiffness.value == pytest.approx(truth.bellows_stiffness, rel=0.02)
     fitted = fin.fit_fin(*columns(tmp_path / "fin.csv", fin.COLUMNS))

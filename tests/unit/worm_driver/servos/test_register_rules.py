@@ -75,7 +75,7 @@ def write(rig: Rig, servo: int, name: str, value: int) -> bool:
     """Write a register as another program does. Return True if the servo accepts and stores the value."""
     target = next(each for each in rig.virtual.servos if each.servo_id == servo)
     row = target.model.registers[name]
-    data = row.address.to_bytes(2, "little") + row.encode(value)
+    data = row.address.to_bytes(2, "little") + row.pack(value)
     before = target.memory[name]
     rig.virtual.receive(instruction_packet(servo, Instruction.WRITE, data), rig.clock.now)
     return target.memory[name] == value != before

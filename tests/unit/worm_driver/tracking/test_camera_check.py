@@ -32,13 +32,11 @@ class Camera:
     def request_format(self, *_: object) -> None:
         pass
 
-    def read(self):
-        self.left -= 1
-        if self.left < 0:
-            return None
-        self.now += self.period
-        Camera.arrival = self.now
-        return self.image, self.now - self.delay
+    def images(self):
+        for _ in range(self.left):
+            self.now += self.period
+            Camera.arrival = self.now
+            yield self.image, self.now - self.delay
 
     def close(self) -> None:
         pass

@@ -30,27 +30,12 @@ def test_the_file_is_read_as_it_was_written(camera: CameraModel, tmp_path):
     assert len(content["projection_matrix"]["data"]) == 12
 
 
-def test_a_calibration_does_not_differ_from_its_rounded_self():
-    rounded = replace(BROWN, focal=(BROWN.focal[0] * 1.0005, BROWN.focal[1]))
-    longer = replace(BROWN, distortion=(*BROWN.distortion[:4], 0.0))
-    shorter = replace(BROWN, distortion=BROWN.distortion[:4])
-    assert not BROWN.differs_from(BROWN)
-    assert not BROWN.differs_from(rounded)
-    assert not longer.differs_from(shorter)
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        RATIONAL,
-        replace(BROWN, width=BROWN.width // 2),
-        replace(BROWN, focal=(BROWN.focal[0], BROWN.focal[1] * 1.01)),
-        replace(BROWN, centre=(BROWN.centre[0] + 10.0, BROWN.centre[1])),
-        replace(BROWN, distortion=(BROWN.distortion[0] + 0.1, *BROWN.distortion[1:])),
-    ],
-)
-def test_a_calibration_with_another_number_or_model_differs(other):
-    assert BROWN.differs_from(other)
+def test_a_missing_fifth_coefficient_is_zero(tmp_path):
+    content = yaml.safe_load(camera_info_text(BROWN))
+    content["distortion_coefficients"]["data"].pop()
+    path = tmp_path / "camera.yaml"
+    path.write_text(yaml.safe_dump(content))
+    assert load_camera_info(path).distortion == (*BROWN.distortion[:4], 0.0)
 
 
 @pytest.mark.parametrize("camera", [BROWN, RATIONAL], ids=lambda c: c.model)
@@ -80,13 +65,13 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"image_width": 0}, "0 x 720"),
+        ({"image_width": 0}, "image_width.*0"),
         ({"camera_matrix": {"data": [0.0] * 9}}, "the camera is not calibrated"),
         ({"camera_matrix": {"data": [1.0] * 8}}, "camera_matrix.* nine "),
         ({"camera_matrix": {"data": [900.0, 2.0, 640.0, 0, 900.0, 360.0, 0, 0, 1.0]}}, "skew"),
         ({"camera_matrix": [1.0]}, r"camera_matrix.* mapping"),
         ({"distortion_model": "thin_prism"}, "thin_prism.*plumb_bob, rational_polynomial"),
-        ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "4 or 5 coefficients, not 2"),
+        ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "5 coefficients, not 2"),
         ({"distortion_coefficients": {"data": [0.0, 0.0, 0.0, math.nan]}}, "nan"),
     ],
 )

@@ -21,12 +21,11 @@ def encoded(encoding: str) -> np.ndarray:
         colour = np.full_like(RAMP, 128)
         order = (colour, RAMP) if encoding in ("yuv422", "uyvy") else (RAMP, colour)
         return np.stack(order, axis=2).reshape(HEIGHT, -1)
-    channels = 3 if encoding in ("bgr8", "rgb8") else 4
-    return np.repeat(RAMP[:, :, None], channels, axis=2).reshape(HEIGHT, -1)
+    return np.repeat(RAMP[:, :, None], 3, axis=2).reshape(HEIGHT, -1)
 
 
 @pytest.mark.parametrize(
-    "encoding", ["mono8", "bgr8", "rgb8", "bgra8", "rgba8", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
+    "encoding", ["mono8", "bgr8", "rgb8", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
 )
 @pytest.mark.parametrize("padding", [0, 5])
 def test_every_encoding_gives_the_same_grey(encoding: str, padding: int):
@@ -37,11 +36,10 @@ def test_every_encoding_gives_the_same_grey(encoding: str, padding: int):
 
 
 def test_red_green_and_blue_are_not_mixed_up():
-    pixel = np.array([[10, 100, 200]], np.uint8)
-    bgr = vision.grey(pixel.ravel(), 1, 1, 3, "bgr8")
-    rgb = vision.grey(pixel[:, ::-1].ravel(), 1, 1, 3, "rgb8")
-    assert bgr == rgb
-    assert int(bgr[0, 0]) == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
+    pixel = np.array([10, 100, 200], np.uint8)
+    grey = round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
+    assert vision.grey(pixel, 1, 1, 3, "bgr8") == grey
+    assert vision.grey(pixel[::-1], 1, 1, 3, "rgb8") == grey
 
 
 def test_other_encodings_are_rejected_by_name():
@@ -51,14 +49,12 @@ def test_other_encodings_are_rejected_by_name():
         vision.grey(RAMP.ravel(), HEIGHT, WIDTH, WIDTH, "bayer_rggb8")
     with pytest.raises(ImageError, match="479 bytes"):
         vision.grey(RAMP.ravel()[:-1], HEIGHT, WIDTH, WIDTH, "mono8")
-    with pytest.raises(ImageError, match="17 bytes"):
-        vision.decode_image(b"\xff\xd8 half a picture")
 
 
 def test_the_rendered_prints_are_those_of_the_dictionary():
     for number, rows in MARKERS.items():
-        printed = vision.marker_cells("DICT_4X4_50", number)
-        assert np.array_equal(framed(rows)[1:-1, 1:-1] > 0.5, printed)
+        printed = vision.marker_image("DICT_4X4_50", number, 1)
+        assert np.array_equal(framed(rows)[1:-1, 1:-1] > 0.5, printed > 0)
 
 
 def test_corners_are_where_an_independent_camera_has_them():
@@ -84,18 +80,11 @@ def test_the_width_of_edges_measures_their_blur():
         assert found.edge_width == pytest.approx(0.8 * ramp, rel=0.2, abs=0.05)
 
 
-def test_no_marker_no_detection():
-    assert (
-        vision.MarkerDetector("DICT_APRILTAG_36h11").detect(np.full((90, 120), 128, np.uint8)) == []
-    )
-
-
 @pytest.mark.parametrize("dictionary", ["DICT_5X5_100", "DICT_APRILTAG_36h11", "DICT_6X6_250"])
 def test_other_dictionaries(dictionary):
-    cells = np.pad(vision.marker_cells(dictionary, 7), 2, constant_values=True)
-    image = (np.kron(cells, np.ones((9, 9))) * 180 + 40).astype(np.uint8)
+    printed = vision.marker_image(dictionary, 7, 9)
+    image = np.pad(printed // 2 + 60, 18, constant_values=187)
     (found,) = vision.MarkerDetector(dictionary).detect(image)
     assert found.number == 7
-    side = (len(cells) - 4) * 9
     assert found.corners[0] == pytest.approx([17.5, 17.5], abs=0.1)
-    assert found.corners[2] == pytest.approx([17.5 + side] * 2, abs=0.1)
+    assert found.corners[2] == pytest.approx([17.5 + len(printed)] * 2, abs=0.1)

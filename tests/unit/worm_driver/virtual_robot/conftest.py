@@ -2,8 +2,7 @@
 """A virtual robot that serves its ports in a thread, without ROS."""
 
 import threading
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -13,29 +12,24 @@ from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 
 
-@dataclass
 class Served:
-    """Robot with its ports."""
+    """Robot that serves its ports in a thread."""
 
-    robot: VirtualRobot
-    directory: Path
-    server: RobotServer
-    thread: threading.Thread
+    def __init__(self, directory: Path, rate: float | None) -> None:
+        self.directory = directory
+        self.port, self.socket = str(directory / SERIAL_NAME), str(directory / I2C_NAME)
+        robot = VirtualRobot(load_settings())
+        self.server = RobotServer(robot, directory, lambda _: None, rate=rate, epoch_ns=10**18)
+        self.server.open()
+        self._thread = threading.Thread(target=self.server.run)
+        self._thread.start()
 
     def end(self) -> None:
         """Clean up as the process does at its end."""
-        if self.thread.is_alive():
+        if self._thread.is_alive():
             self.server.stop()
-            self.thread.join()
+            self._thread.join()
             self.server.close()
-
-    @property
-    def port(self) -> str:
-        return str(self.directory / SERIAL_NAME)
-
-    @property
-    def socket(self) -> str:
-        return str(self.directory / I2C_NAME)
 
 
 @pytest.fixture(scope="session")
@@ -45,13 +39,14 @@ def settings() -> RobotSettings:
 
 
 @pytest.fixture
-def served(settings: RobotSettings, tmp_path: Path) -> Iterator[Served]:
-    """Start a robot behind a pseudo-terminal and a socket."""
-    robot = VirtualRobot(settings)
-    server = RobotServer(robot, tmp_path, lambda _: None)
-    server.open()
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    served = Served(robot, tmp_path, server, thread)
-    yield served
-    served.end()
+def serve(tmp_path: Path) -> Iterator[Callable[[float | None], Served]]:
+    """Return a function that serves a robot at a rate, in the folder ``robot``."""
+    made: list[Served] = []
+
+    def start(rate: float | None) -> Served:
+        made.append(Served(tmp_path / "robot", rate))
+        return made[-1]
+
+    yield start
+    for each in made:
+        each.end()

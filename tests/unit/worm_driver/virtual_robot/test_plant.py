@@ -94,41 +94,6 @@ def test_without_its_effects_it_is_the_model(shared):
         assert mean_power(plant, states) == pytest.approx(row["power_W"], rel=0.01), row
 
 
-def test_it_converges_with_the_step():
-    def power(step):
-        plant = plant_of(step=step)
-        return mean_power(plant, play(plant, 0.07, 0.2, 3), 3, 1)
-
-    coarse, middle, fine = (power(step) for step in (1e-3, 5e-4, 2.5e-4))
-    assert abs(middle - fine) < 0.6 * abs(coarse - middle)
-    assert abs(coarse - fine) < 0.01 * fine
-
-
-def test_rest_is_rest():
-    plant = plant_of(parameters=DRY, effects=ROUGH)
-    state = plant.at_rest()
-    state = rest(plant, state, 2.0)
-    assert plant.positions(state) == pytest.approx((0.0, PAPER.initial_length), abs=1e-12)
-    assert plant.electrical_power(state) == pytest.approx(PAPER.idle_power)
-
-
-def test_anchors_stand_in_grooves_near_their_fins():
-    plant = plant_of(parameters=DRY, effects=ROUGH)
-    for state in play(plant, 0.08, 0.2, 2):
-        for position, groove in zip(
-            plant.positions(state), (state.rear_groove, state.front_groove), strict=True
-        ):
-            assert isinstance(groove, int)
-            assert abs(position - groove * PAPER.pitch) < 0.0175 + 0.002
-
-
-def test_loose_fins_do_not_carry_the_robot_away():
-    plant = plant_of(parameters=DRY, effects=ROUGH)
-    states = play(plant, 0.07, 0.2, 3, law=LOOSE)
-    centre = [sum(plant.positions(state)) / 2 for state in states]
-    assert max(centre) - min(centre) < PAPER.pitch
-
-
 def test_the_slack_comes_back_after_a_rest():
     plant = plant_of(parameters=DRY, effects=ROUGH)
     state = play(plant, 0.07, 0.2, 1)[-1]
@@ -269,19 +234,6 @@ def test_a_fault_leaves_the_conditions_admissible(settings):
     assert robot.plant.conditions == Conditions(90.0, 0.0)
 
 
-@pytest.mark.parametrize("effects", [NO_EFFECTS, COMPLIANT])
-@pytest.mark.parametrize("flow", [-0.8, 0.8])
-def test_flowing_water_loads_each_resting_module_with_half_of_rho_c_a_times_the_flow_squared(
-    flow, effects
-):
-    water = Conditions(flow_m_per_s=flow, drag_area_m2=0.004)
-    load = 0.5 * 998.2 * 0.004 * flow * abs(flow)
-    same = replace(EVEN, rear_load=load, front_load=load)
-    in_water, loaded = plant_of(water, EVEN, effects), plant_of(Conditions(), same, effects)
-    found = in_water.positions(in_water.at_rest()), loaded.positions(loaded.at_rest())
-    assert found[0] == pytest.approx(found[1], abs=2e-7)
-
-
 def test_in_slow_water_a_gait_gains_and_costs_what_the_linearised_drag_predicts():
     """The neglected part is half of rho C_d A times the square of the modules' velocity."""
     area, flow = 0.004, 0.6
@@ -301,13 +253,6 @@ def test_in_slow_water_a_gait_gains_and_costs_what_the_linearised_drag_predicts(
     energy = [sum(state.mechanical_power for state in run) for run in states]
     assert gained[0] == pytest.approx(gained[1], abs=0.01)
     assert energy[0] == pytest.approx(energy[1], rel=0.01)
-
-
-def test_still_water_brakes_a_fast_gait():
-    dry, wet = plant_of(Conditions()), plant_of(Conditions(drag_area_m2=0.02))
-    assert sum(s.mechanical_power for s in play(wet, 0.078, 0.3)) > sum(
-        s.mechanical_power for s in play(dry, 0.078, 0.3)
-    )
 
 
 # --- a length that follows from the cable's force -----------------------------------------------------
@@ -353,15 +298,6 @@ def test_it_is_the_two_mass_model_with_the_cables_force():
     expected = integrated(0.025, 0.3, times)
     found = np.array([plant.positions(state) for state in states]).T
     assert np.max(np.abs(found - expected)) < 3e-5
-
-
-def test_without_load_the_gain_is_that_of_two_springs():
-    plant = plant_of(parameters=BODY, effects=COMPLIANT)
-    state = plant.at_rest()
-    for _ in range(3000):
-        state = plant.step(state, -0.05, (LOOSE, LOOSE))
-    gain = STIFFNESS / (STIFFNESS + BODY.bellows_stiffness)
-    assert state.length_change == pytest.approx(-0.05 * gain, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Threads and a virtual robot's time, which wait for each other."""
 
+import math
 import threading
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -12,36 +11,17 @@ from worm_driver.clock import MachineClock
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.simulated_clock import I2C, SERIAL, SimulatedClock, clock_of
-from worm_driver.virtual_robot.robot_server import RobotServer
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire.faults import make_fault
 
 
-class _Robot:
-    def __init__(self, settings, directory: Path, rate: float | None):
-        self.directory = directory
-        self.robot = VirtualRobot(settings)
-        self.server = RobotServer(self.robot, directory, lambda _: None, rate=rate, epoch_ns=10**18)
-        self.server.open()
-        self.thread = threading.Thread(target=self.server.run)
-        self.thread.start()
-
-    def end(self) -> None:
-        self.server.stop()
-        self.thread.join()
-        self.server.close()
-
-
 @pytest.fixture
-def fast(settings, tmp_path) -> Iterator[_Robot]:
+def fast(serve):
     """Start a robot whose time runs as fast as possible."""
-    robot = _Robot(settings, tmp_path, float("inf"))
-    yield robot
-    robot.end()
+    return serve(math.inf)
 
 
-def open_bus(robot: _Robot) -> tuple[ServoBus, SimulatedClock]:
-    bus = ServoBus.open(str(robot.directory / "servo_bus"), 1_000_000)
+def open_bus(robot) -> tuple[ServoBus, SimulatedClock]:
+    bus = ServoBus.open(robot.port, 1_000_000)
     clock = SimulatedClock(robot.directory, SERIAL)
     bus.port.go_by(clock)
     return bus, clock
@@ -124,9 +104,9 @@ def test_an_ended_client_delays_no_other(fast):
     stays.close()
 
 
-def test_after_the_robot_is_gone_time_goes_on(settings, tmp_path):
-    robot = _Robot(settings, tmp_path, 1.0)
-    clock = SimulatedClock(tmp_path, I2C)
+def test_after_the_robot_is_gone_time_goes_on(serve):
+    robot = serve(1.0)
+    clock = SimulatedClock(robot.directory, I2C)
     robot.end()
     before = clock()
     clock.sleep_until(before + 0.05)
@@ -134,21 +114,18 @@ def test_after_the_robot_is_gone_time_goes_on(settings, tmp_path):
     clock.close()
 
 
-def test_in_real_time_and_on_real_devices_the_clock_is_the_machines(settings, tmp_path):
-    robot = _Robot(settings, tmp_path, None)
-    assert isinstance(clock_of(str(tmp_path / "servo_bus"), SERIAL), MachineClock)
-    robot.end()
+def test_in_real_time_and_on_real_devices_the_clock_is_the_machines(serve):
+    assert isinstance(clock_of(serve(None).port, SERIAL), MachineClock)
     assert isinstance(clock_of("/dev/ttyUSB0", SERIAL), MachineClock)
     assert isinstance(clock_of("", I2C), MachineClock)
 
 
 @pytest.mark.parametrize(("device", "port"), [("servo_bus", SERIAL), ("i2c.sock", I2C)])
-def test_the_clock_is_found_through_any_link_to_the_device(settings, tmp_path, device, port):
-    robot = _Robot(settings, tmp_path / "robot", 1.0)
+def test_the_clock_is_found_through_any_link_to_the_device(serve, tmp_path, device, port):
+    serve(1.0)
     link, chain = tmp_path / "link", tmp_path / "chain"
     link.symlink_to(tmp_path / "robot" / device)
     chain.symlink_to(link)
     clock = clock_of(str(chain), port)
     assert isinstance(clock, SimulatedClock)
     clock.close()
-    robot.end()

@@ -18,11 +18,15 @@ from worm_driver.power.socket_smbus import (
     unpack_answer,
     unpack_request,
 )
-from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import make_fault
 
 ADDRESS = 0x40
 byte = st.integers(0, 255)
+
+
+@pytest.fixture
+def served(serve):
+    return serve(1.0)
 
 
 @pytest.fixture
@@ -41,7 +45,7 @@ def test_a_16_bit_value_is_low_byte_first_and_a_wrong_address_a_nack(bus):
 
 
 def test_a_hanging_bus_is_a_timeout(bus, served):
-    served.server.inject(make_fault(faults.I2C_TIMEOUT, value=0.05))
+    served.server.inject(make_fault("i2c_timeout", value=0.05))
     seen = []
     while not seen:
         try:

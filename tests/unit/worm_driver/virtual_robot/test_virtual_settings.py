@@ -17,16 +17,6 @@ def write(tmp_path, change):
     return path
 
 
-def test_the_installed_file_describes_the_standard_robot(settings):
-    assert [(s.id, s.model.name) for s in settings.cable_servos] == [(1, "XM430-W350")]
-    assert [(s.id, s.module) for s in settings.fin_servos] == [(11, "rear"), (12, "front")]
-
-
-def test_its_truth_is_not_the_papers_table(settings):
-    assert settings.body.bellows_damping != 862.4
-    assert settings.body.switching_threshold != 0.0175
-
-
 @pytest.mark.parametrize(
     ("change", "facts"),
     [

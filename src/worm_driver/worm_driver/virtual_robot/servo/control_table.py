@@ -1,164 +1,123 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control tables of the virtual servos, one row per register, one table per model.
+"""Control tables of the virtual servos: the driver's registers with their factory values and allowed values.
 
-The registers are written from the ROBOTIS e-manual, independently of the driver's tables, with the manual's names in
-lower case. The data of the models come from `worm_msgs.servo_models`, which the driver uses, too. Indirect
-addressing (168 and above) is not implemented; an access to it returns an access error.
+Sources are the ROBOTIS e-manual for the allowed values, `worm_msgs.servo_models` for the data of the models and
+`servos.registers` for the registers. Indirect addressing (168 and above) is not implemented; an access to it returns an
+access error.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 
+from worm_driver.servos import registers
+from worm_driver.servos.registers import POSITION_MODE, Register
 from worm_msgs.servo_models import SERVO_MODELS, Initial, ServoRow
 
 EEPROM_END = 64  # registers at lower addresses are locked while torque is on
 TABLE_END = 168  # first address that cannot be read; the last register is at 147
 
-CURRENT_MODE = 0
-VELOCITY_MODE = 1
-POSITION_MODE = 3
-EXTENDED_POSITION_MODE = 4
+#: Operating modes that the driver does not use.
 CURRENT_POSITION_MODE = 5  # without a limit of the current
 PWM_MODE = 16
 
-PULSES_PER_TURN = 4096  # a pulse is one count of the position registers; the driver calls it a tick
-EXTENDED_RANGE = 1_048_575  # pulses, +-256 turns
+PULSES_PER_TURN = registers.TICKS_PER_TURN  # a pulse is one count of the position registers
 
 PROTOCOL_2 = 2  # a servo with another protocol_type does not answer packets of Protocol 2.0
 
-BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+BAUD_RATES = (*registers.BAUD_RATES, 4_500_000)
 
 
 @dataclass(frozen=True)
-class Register:
-    """One register. size: in bytes; initial: factory value, raw; low, high: lowest and highest allowed raw value."""
+class VirtualRegister(Register):
+    """Register with its factory value and the lowest and highest value that a write may contain, raw."""
 
-    name: str
-    address: int
-    size: int
-    initial: int
+    initial: int = 0
     low: int = 0
     high: int = 0
-    writable: bool = True
 
-    @cached_property
-    def signed(self) -> bool:
-        """True if the raw value is in two's complement."""
-        return self.low < 0
-
-    def encode(self, value: int) -> bytes:
-        """Return the little-endian bytes of a raw value."""
-        return value.to_bytes(self.size, "little", signed=self.signed)
-
-    def decode(self, data: bytes | bytearray) -> int:
-        """Return the raw value of little-endian bytes."""
-        return int.from_bytes(data, "little", signed=self.signed)
+    @property
+    def writable(self) -> bool:
+        """False for a register that only the servo changes."""
+        return self.high > self.low
 
 
 @dataclass(frozen=True)
 class VirtualServoModel(ServoRow):
     """Servo model: its data, and its control table by register name."""
 
-    registers: Mapping[str, Register] = field(default_factory=dict)
+    registers: Mapping[str, VirtualRegister] = field(default_factory=dict)
 
 
-def _status(name: str, address: int, size: int, low: int = 0) -> Register:
-    return Register(name, address, size, 0, low=low, writable=False)
-
-
-_INT16 = -0x8000
-_INT32 = -0x80000000
-_MOST = 0x7FFFFFFF
-
-_COMMON = (
-    _status("model_number", 0, 2),
-    _status("model_information", 2, 4),
-    _status("firmware_version", 6, 1),
-    Register("id", 7, 1, 1, high=252),
-    Register("baud_rate", 8, 1, 1, high=7),
-    Register("return_delay_time", 9, 1, 250, high=254),
-    Register("drive_mode", 10, 1, 0, high=0x0D),
-    Register("operating_mode", 11, 1, POSITION_MODE, high=16),
-    Register("secondary_id", 12, 1, 255, high=255),
-    Register("protocol_type", 13, 1, 2, low=1, high=2),
-    Register("homing_offset", 20, 4, 0, low=-1_044_479, high=1_044_479),
-    Register("moving_threshold", 24, 4, 10, high=1023),
-    Register("temperature_limit", 31, 1, 80, high=100),
-    Register("max_voltage_limit", 32, 2, 160, low=95, high=160),
-    Register("min_voltage_limit", 34, 2, 95, low=95, high=160),
-    Register("pwm_limit", 36, 2, 885, high=885),
-    Register("velocity_limit", 44, 4, 200, high=1023),
-    Register("max_position_limit", 48, 4, 4095, high=4095),
-    Register("min_position_limit", 52, 4, 0, high=4095),
-    Register("startup_configuration", 60, 1, 0, high=3),
-    Register("shutdown", 63, 1, 52, high=0x3F),
-    Register("torque_enable", 64, 1, 0, high=1),
-    Register("led", 65, 1, 0, high=1),
-    Register("status_return_level", 68, 1, 2, high=2),
-    _status("registered_instruction", 69, 1),
-    _status("hardware_error_status", 70, 1),
-    Register("velocity_i_gain", 76, 2, 1920, high=16383),
-    Register("velocity_p_gain", 78, 2, 100, high=16383),
-    Register("position_d_gain", 80, 2, 0, high=16383),
-    Register("position_i_gain", 82, 2, 0, high=16383),
-    Register("position_p_gain", 84, 2, 800, high=16383),
-    Register("feedforward_2nd_gain", 88, 2, 0, high=16383),
-    Register("feedforward_1st_gain", 90, 2, 0, high=16383),
-    Register("bus_watchdog", 98, 1, 0, low=-1, high=127),
-    Register("goal_pwm", 100, 2, 885, low=-885, high=885),
-    Register("goal_velocity", 104, 4, 0, low=_INT32, high=_MOST),
-    Register("profile_acceleration", 108, 4, 0, high=32767),
-    Register("profile_velocity", 112, 4, 0, high=32767),
-    Register("goal_position", 116, 4, 0, low=_INT32, high=_MOST),
-    _status("realtime_tick", 120, 2),
-    _status("moving", 122, 1),
-    _status("moving_status", 123, 1),
-    _status("present_pwm", 124, 2, _INT16),
-    _status("present_velocity", 128, 4, _INT32),
-    _status("present_position", 132, 4, _INT32),
-    _status("velocity_trajectory", 136, 4, _INT32),
-    _status("position_trajectory", 140, 4, _INT32),
-    _status("present_input_voltage", 144, 2),
-    _status("present_temperature", 146, 1),
-    _status("backup_ready", 147, 1),
+# Registers that the driver does not use.
+_FURTHER = (
+    Register("protocol_type", 13, 1),
+    Register("moving_threshold", 24, 4),
+    Register("velocity_p_gain", 78, 2),
 )
+
+_INT32 = (-0x80000000, 0x7FFFFFFF)
+_GAIN = 16383
+
+#: Initial, lowest and highest value of each register that can be written, unless the model has others.
+_WRITABLE: Mapping[str, Initial] = {
+    "id": (1, 0, 252),
+    "baud_rate": (1, 0, 7),
+    "return_delay_time": (250, 0, 254),
+    "drive_mode": (0, 0, 0x0D),
+    "operating_mode": (POSITION_MODE, 0, 16),
+    "secondary_id": (255, 0, 255),
+    "protocol_type": (PROTOCOL_2, 1, 2),
+    "homing_offset": (0, -1_044_479, 1_044_479),
+    "moving_threshold": (10, 0, 1023),
+    "temperature_limit": (80, 0, 100),
+    "max_voltage_limit": (160, 95, 160),
+    "min_voltage_limit": (95, 95, 160),
+    "pwm_limit": (885, 0, 885),
+    "max_position_limit": (4095, 0, 4095),
+    "min_position_limit": (0, 0, 4095),
+    "startup_configuration": (0, 0, 3),
+    "shutdown": (52, 0, 0x3F),
+    "torque_enable": (0, 0, 1),
+    "led": (0, 0, 1),
+    "status_return_level": (2, 0, 2),
+    "velocity_i_gain": (1920, 0, _GAIN),
+    "velocity_p_gain": (100, 0, _GAIN),
+    "position_d_gain": (0, 0, _GAIN),
+    "position_i_gain": (0, 0, _GAIN),
+    "position_p_gain": (800, 0, _GAIN),
+    "feedforward_2nd_gain": (0, 0, _GAIN),
+    "feedforward_1st_gain": (0, 0, _GAIN),
+    "bus_watchdog": (0, -1, 127),
+    "goal_pwm": (885, -885, 885),
+    "goal_velocity": (0, *_INT32),
+    "profile_acceleration": (0, 0, 32767),
+    "profile_velocity": (0, 0, 32767),
+    "goal_position": (0, *_INT32),
+}
 
 # Registers to which a servo rejects writes after the Bus Watchdog has fired.
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
-def _current_registers(limit: int) -> tuple[Register, ...]:
-    return (
-        Register("current_limit", 38, 2, limit, high=limit),
-        Register("goal_current", 102, 2, limit, low=-limit, high=limit),
-        _status("present_current", 126, 2, _INT16),
-    )
-
-
-_LOAD_REGISTERS = (_status("present_load", 126, 2, _INT16),)
-
-
-def _table(extra: tuple[Register, ...], initial: Mapping[str, Initial]) -> dict[str, Register]:
-    """Return the common and extra registers by name.
-
-    Args:
-        extra: registers that not every model has.
-        initial: factory values of the model, or (factory value, lowest, highest), by name.
-    """
-    rows = {row.name: row for row in sorted(_COMMON + extra, key=lambda row: row.address)}
-    for name, value in initial.items():
-        if isinstance(value, int):
-            rows[name] = replace(rows[name], initial=value)
-        else:
-            rows[name] = replace(rows[name], initial=value[0], low=value[1], high=value[2])
-    return rows
-
-
 def _model(row: ServoRow) -> VirtualServoModel:
-    extra = _current_registers(row.current_limit) if row.measures_current else _LOAD_REGISTERS
-    own = {**row.initial, "model_number": row.number, "velocity_limit": row.velocity_limit}
-    return VirtualServoModel(**vars(row), registers=_table(extra, own))
+    limit = row.current_limit
+    values = {
+        **_WRITABLE,
+        "current_limit": (limit, 0, limit),
+        "goal_current": (limit, -limit, limit),
+        "velocity_limit": row.velocity_limit,
+        "model_number": row.number,
+    }
+    table = {}
+    for each in (*registers.MODELS[row.number].registers.values(), *_FURTHER):
+        usual, own = values.get(each.name, 0), row.initial.get(each.name)
+        initial, low, high = (usual, 0, 0) if isinstance(usual, int) else usual
+        if isinstance(own, int):
+            initial = own
+        elif own is not None:
+            initial, low, high = own
+        table[each.name] = VirtualRegister(**vars(each), initial=initial, low=low, high=high)
+    return VirtualServoModel(**vars(row), registers=table)
 
 
 MODELS: Mapping[str, VirtualServoModel] = {row.name: _model(row) for row in SERVO_MODELS}

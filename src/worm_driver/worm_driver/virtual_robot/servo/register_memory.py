@@ -3,7 +3,13 @@
 
 from collections.abc import Mapping
 
+from worm_driver.servos.registers import (
+    EXTENDED_POSITION_LIMIT,
+    EXTENDED_POSITION_MODE,
+    POSITION_MODE,
+)
 from worm_driver.virtual_robot.servo import control_table
+from worm_driver.virtual_robot.servo.control_table import VirtualRegister
 from worm_driver.virtual_robot.wire.packet import Error
 
 _LIMITED_BY = {
@@ -11,6 +17,9 @@ _LIMITED_BY = {
     "goal_current": "current_limit",
     "goal_velocity": "velocity_limit",
 }
+
+#: Operating modes in which the shaft turns beyond one turn.
+_TURNING = (EXTENDED_POSITION_MODE, control_table.CURRENT_POSITION_MODE)
 
 
 class RegisterError(Exception):
@@ -26,8 +35,7 @@ class RegisterMemory:
 
     def __init__(self, model: control_table.VirtualServoModel, settings: Mapping[str, int]) -> None:
         """Create the memory. ``settings`` are raw EEPROM values that differ from the factory values, by name."""
-        self._rows = model.registers
-        self._modes = model.modes
+        self._model, self._rows = model, model.registers
         self._by_address = {row.address: row for row in self._rows.values()}
         self._places = {
             name: (slice(row.address, row.address + row.size), row.size, row.signed)
@@ -76,7 +84,7 @@ class RegisterMemory:
             raise RegisterError(Error.ACCESS)
         return bytes(self._bytes[address : address + length])
 
-    def check_write(self, address: int, data: bytes) -> list[tuple[control_table.Register, int]]:
+    def check_write(self, address: int, data: bytes) -> list[tuple[VirtualRegister, int]]:
         """Return the registers that a write would set, with their new raw values, without writing.
 
         Raises RegisterError if the servo rejects the write.
@@ -88,7 +96,7 @@ class RegisterMemory:
                 raise RegisterError(Error.ACCESS)
             if len(data) < row.size:
                 raise RegisterError(Error.DATA_LENGTH)
-            value = row.decode(data[: row.size])
+            value = row.unpack(data[: row.size])
             self._check_value(row, value)
             changes.append((row, value))
             address, data = address + row.size, data[row.size :]
@@ -96,34 +104,25 @@ class RegisterMemory:
             raise RegisterError(Error.DATA_LENGTH)
         return changes
 
-    def _check_value(self, row: control_table.Register, value: int) -> None:
+    def _check_value(self, row: VirtualRegister, value: int) -> None:
+        """Raise RegisterError if the servo rejects a value in its present state."""
+        watchdog, mode = self["bus_watchdog"], self["operating_mode"]
         if row.address < control_table.EEPROM_END and self["torque_enable"]:
             raise RegisterError(Error.ACCESS)
-        if row.name in control_table.GOALS and self["bus_watchdog"] < 0:
+        if row.name in control_table.GOALS and watchdog < 0:
             raise RegisterError(Error.DATA_RANGE)
-        if row.name == "bus_watchdog":
-            allowed = value == 0 or (self["bus_watchdog"] >= 0 and value > 0)
-        elif row.name == "operating_mode":
-            allowed = value in self._modes
-        elif row.name in _LIMITED_BY:
-            if abs(value) > self[_LIMITED_BY[row.name]]:
-                raise RegisterError(Error.DATA_LIMIT)
-            allowed = True
-        elif row.name == "goal_position":
-            self._check_goal_position(value)
-            allowed = True
-        else:
-            allowed = row.low <= value <= row.high
-        if not allowed:
-            raise RegisterError(Error.DATA_RANGE)
-
-    def _check_goal_position(self, value: int) -> None:
-        mode = self["operating_mode"]
-        if mode == control_table.POSITION_MODE:
-            if not self["min_position_limit"] <= value <= self["max_position_limit"]:
-                raise RegisterError(Error.DATA_LIMIT)
-        elif (
-            mode in (control_table.EXTENDED_POSITION_MODE, control_table.CURRENT_POSITION_MODE)
-            and abs(value) > control_table.EXTENDED_RANGE
+        low, high, error = row.low, row.high, Error.DATA_RANGE
+        if row.name in _LIMITED_BY:
+            high, error = self[_LIMITED_BY[row.name]], Error.DATA_LIMIT
+            low = -high
+        elif row.name == "goal_position" and mode == POSITION_MODE:
+            low, high = self["min_position_limit"], self["max_position_limit"]
+            error = Error.DATA_LIMIT
+        elif row.name == "goal_position" and mode in _TURNING:
+            low, high = -EXTENDED_POSITION_LIMIT, EXTENDED_POSITION_LIMIT
+        elif row.name == "bus_watchdog":
+            low, high = 0, 0 if watchdog < 0 else row.high
+        if not low <= value <= high or (
+            row.name == "operating_mode" and value not in self._model.modes
         ):
-            raise RegisterError(Error.DATA_RANGE)
+            raise RegisterError(error)

@@ -4,38 +4,8 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Final
 
 from worm_msgs.input_error import InputError
-
-# Faults of status packets.
-NO_ANSWER: Final = "no_answer"
-CORRUPTED_CRC: Final = "corrupted_crc"
-TRUNCATED: Final = "truncated"
-DUPLICATED: Final = "duplicated"
-LATE: Final = "late"
-FUZZED: Final = "fuzzed"
-ERROR_NUMBER: Final = "error"
-WRONG_ID: Final = "wrong_id"
-WRONG_POSITION: Final = "wrong_position"
-# Events of the whole robot.
-PUT_BACK: Final = "put_back"
-OCCLUDED: Final = "occluded"
-# Changes of the plant's conditions.
-SLOPE: Final = "slope"
-TETHER: Final = "tether"
-# Faults of servos, of the serial port and of the power sensor.
-VANISHED: Final = "vanished"
-STALLED: Final = "stalled"
-OVERLOAD: Final = "overload"
-OVERHEATING: Final = "overheating"
-INPUT_VOLTAGE: Final = "input_voltage"
-UNPLUGGED: Final = "unplugged"
-I2C_NACK: Final = "i2c_nack"
-I2C_TIMEOUT: Final = "i2c_timeout"
-INA219_OVERFLOW: Final = "ina219_overflow"
-INA219_SATURATION: Final = "ina219_saturation"
-INA219_RESET: Final = "ina219_reset"
 
 
 @dataclass(frozen=True)
@@ -61,48 +31,51 @@ class FaultKind:
 
 
 KINDS: dict[str, FaultKind] = {
-    NO_ANSWER: FaultKind("status packets are lost", count=1),
-    CORRUPTED_CRC: FaultKind("status packets have a wrong checksum", count=1),
-    TRUNCATED: FaultKind("status packets end early", count=1),
-    DUPLICATED: FaultKind("status packets are sent twice", count=1),
-    LATE: FaultKind("status packets are value seconds late", count=1, value=0.045),
-    FUZZED: FaultKind("bytes of status packets are changed, lost and added at random", count=1),
-    ERROR_NUMBER: FaultKind("status packets contain error number value (1 to 7)", count=1, value=1),
-    WRONG_ID: FaultKind("status packets contain value as the id of the servo", count=1, value=1),
-    WRONG_POSITION: FaultKind(
+    # Faults of status packets.
+    "no_answer": FaultKind("status packets are lost", count=1),
+    "corrupted_crc": FaultKind("status packets have a wrong checksum", count=1),
+    "truncated": FaultKind("status packets end early", count=1),
+    "duplicated": FaultKind("status packets are sent twice", count=1),
+    "late": FaultKind("status packets are value seconds late", count=1, value=0.045),
+    "fuzzed": FaultKind("bytes of status packets are changed, lost and added at random", count=1),
+    "error": FaultKind("status packets contain error number value (1 to 7)", count=1, value=1),
+    "wrong_id": FaultKind("status packets contain value as the id of the servo", count=1, value=1),
+    "wrong_position": FaultKind(
         "positions in status packets are wrong by value ticks", count=1, value=600
     ),
-    PUT_BACK: FaultKind("the robot is moved back to its start, with straight fins", count=1),
-    OCCLUDED: FaultKind("both markers are hidden from the camera", duration=1.0),
-    SLOPE: FaultKind(
+    # Events of the whole robot, and changes of its conditions.
+    "put_back": FaultKind("the robot is moved back to its start, with straight fins", count=1),
+    "occluded": FaultKind("both markers are hidden from the camera", duration=1.0),
+    "slope": FaultKind(
         "the pipe is value degrees steeper uphill, at most vertical", duration=10.0, value=10.0
     ),
-    TETHER: FaultKind(
+    "tether": FaultKind(
         "the tether pulls value newtons more towards -x, at least 0 in total",
         duration=10.0,
         value=2.0,
     ),
-    VANISHED: FaultKind(
+    # Faults of servos, of the serial port and of the power sensor.
+    "vanished": FaultKind(
         "a servo loses its supply, and boots when the supply returns", duration=1.0
     ),
-    STALLED: FaultKind("a servo's shaft is blocked, which can overload the servo", duration=1.0),
-    OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),
-    OVERHEATING: FaultKind("the air around a servo is 100 degC hotter", duration=1.0),
-    INPUT_VOLTAGE: FaultKind("a servo's supply is at value volts", duration=1.0, value=4.0),
-    UNPLUGGED: FaultKind("the serial port disappears for the duration", duration=1.0),
-    I2C_NACK: FaultKind("the power sensor does not acknowledge", count=1),
-    I2C_TIMEOUT: FaultKind("the I2C bus hangs for value seconds, then fails", count=1, value=0.1),
-    INA219_OVERFLOW: FaultKind(
+    "stalled": FaultKind("a servo's shaft is blocked, which can overload the servo", duration=1.0),
+    "overload": FaultKind("a servo reports overload until it is rebooted", duration=0.1),
+    "overheating": FaultKind("the air around a servo is 100 degC hotter", duration=1.0),
+    "input_voltage": FaultKind("a servo's supply is at value volts", duration=1.0, value=4.0),
+    "unplugged": FaultKind("the serial port disappears for the duration", duration=1.0),
+    "i2c_nack": FaultKind("the power sensor does not acknowledge", count=1),
+    "i2c_timeout": FaultKind("the I2C bus hangs for value seconds, then fails", count=1, value=0.1),
+    "ina219_overflow": FaultKind(
         "the current rises by value amperes, and the sensor's overflow bit is set",
         duration=0.2,
         value=6.0,
     ),
-    INA219_SATURATION: FaultKind(
+    "ina219_saturation": FaultKind(
         "the current rises by value amperes; the sensor's overflow bit is not forced",
         duration=0.2,
         value=6.0,
     ),
-    INA219_RESET: FaultKind("the sensor loses its settings in a brown-out", count=1),
+    "ina219_reset": FaultKind("the sensor loses its settings in a brown-out", count=1),
 }
 
 
@@ -138,18 +111,18 @@ class Fault:
             raise FaultError(f"fault {self.name}: start, duration and count must not be negative")
         if not math.isfinite(self.value):
             raise FaultError(f"fault {self.name}: value must be a finite number")
-        if self.name == ERROR_NUMBER and self.value not in range(1, 8):
+        if self.name == "error" and self.value not in range(1, 8):
             raise FaultError(f"fault {self.name}: value must be an error number from 1 to 7")
-        if self.name == WRONG_ID and self.value not in range(253):
+        if self.name == "wrong_id" and self.value not in range(253):
             raise FaultError(f"fault {self.name}: value must be a servo id from 0 to 252")
 
     def delayed(self, time: float) -> "Fault":
         """Return the same fault, later by a time (s)."""
         return replace(self, start=self.start + time)
 
-    def hits(self, target: int | None) -> bool:
-        """Return True if the fault affects the servo with the id ``target`` (None: a part that is not a servo)."""
-        return self.target is None or self.target == target
+    def affects(self, target: int | None, time: float) -> bool:
+        """Return True if the fault affects a servo (None: a part that is not a servo) at a time (s)."""
+        return self.target in (None, target) and self.start <= time <= self.start + self.duration
 
 
 def make_fault(
@@ -206,43 +179,32 @@ class FaultBoard:
     """Faults that have been injected and have not ended."""
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
-        self._left: list[tuple[Fault, int]] = []
-        for fault in faults:
-            self.add(fault)
+        self._faults = list(faults)
 
     def add(self, fault: Fault) -> None:
         """Add a fault."""
-        self._left.append((fault, fault.count))
+        self._faults.append(fault)
 
     def clear(self) -> None:
         """End all faults."""
-        self._left.clear()
+        self._faults.clear()
 
     def active(self, name: str, time: float, target: int | None = None) -> Fault | None:
         """Return the active fault with a name, for a target (id of a servo) at a time (s); None if there is none."""
-        if not self._left:
-            return None
-        for fault, _ in self._left:
-            if fault.name == name and fault.hits(target) and _is_active(fault, time):
+        for fault in self._faults:
+            if fault.name == name and fault.affects(target, time):
                 return fault
         return None
 
     def consume(self, name: str, time: float, target: int | None = None) -> Fault | None:
         """Return the fault like `active`, and reduce its remaining count by one if the count is limited."""
         fault = self.active(name, time, target)
-        if fault is not None:
-            index = next(i for i, (other, _) in enumerate(self._left) if other is fault)
-            left = self._left[index][1] - 1
-            if left == 0:
-                del self._left[index]
-            else:
-                self._left[index] = (fault, left)
+        if fault is not None and fault.count:
+            index = next(i for i, other in enumerate(self._faults) if other is fault)
+            left = [replace(fault, count=fault.count - 1)] if fault.count > 1 else []
+            self._faults[index : index + 1] = left
         return fault
 
     def forget_past(self, time: float) -> None:
         """Remove the faults that have ended at a time (s)."""
-        self._left = [(f, left) for f, left in self._left if time <= f.start + f.duration]
-
-
-def _is_active(fault: Fault, time: float) -> bool:
-    return fault.start <= time <= fault.start + fault.duration
+        self._faults = [fault for fault in self._faults if time <= fault.start + fault.duration]

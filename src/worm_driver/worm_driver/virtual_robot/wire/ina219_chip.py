@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""INA219 power sensor at register level, and its I2C bus.
+"""INA219 power sensor at register level.
 
 Each step of the virtual robot sets shunt and bus voltage (V). A conversion yields the mean voltage over its duration.
 The integer arithmetic is that of the data sheet SBOS448G. Whatever the configuration register contains, the chip
@@ -7,24 +7,17 @@ measures continuously with the largest ranges and 12 bit, with the same averagin
 samples with another configuration than its own.
 """
 
-import errno
 import math
-from dataclasses import dataclass
 from random import Random
-
-from worm_driver.power import socket_smbus as frames
-from worm_driver.power.socket_smbus import Answer, Request
-from worm_driver.virtual_robot.wire import faults
-from worm_driver.virtual_robot.wire.faults import FaultBoard
 
 CONFIGURATION, SHUNT, BUS, POWER, CURRENT, CALIBRATION = range(6)
 POWER_ON_CONFIGURATION = 0x399F
 
 _RESET_BIT = 0x8000
-_CONVERSION_READY = 0x0002
+CONVERSION_READY = 0x0002
 _OVERFLOW = 0x0001
-_SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
-_BUS_LSB = 4e-3  # V per raw unit of the bus voltage
+SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
+BUS_LSB = 4e-3  # V per raw unit of the bus voltage
 _SHUNT_LIMIT = 32000  # raw shunt voltage at the ends of the range +-320 mV
 _BUS_PIN_LIMIT = 26.0  # V, largest measurable bus voltage
 _CONVERSION = 532e-6  # s, one 12-bit conversion without averaging
@@ -36,22 +29,15 @@ def samples_of(configuration: int) -> int:
     return 1 << (field & 0x7) if field & 0x8 else 1
 
 
-@dataclass(frozen=True)
-class AdcNoise:
-    """Standard deviations of the noise of one conversion without averaging, at the shunt and at the bus pin, V."""
-
-    shunt: float
-    bus: float
-
-
 class Ina219:
     """INA219 chip with 16-bit raw registers. Times are in s and must not decrease.
 
-    ``forced_overflow`` sets the overflow bit regardless of the arithmetic.
+    ``forced_overflow`` sets the overflow bit regardless of the arithmetic. ``shunt_noise`` and ``bus_noise`` are
+    standard deviations of the noise of one conversion without averaging, V.
     """
 
-    def __init__(self, noise: AdcNoise, random: Random) -> None:
-        self._noise = noise
+    def __init__(self, shunt_noise: float, bus_noise: float, random: Random) -> None:
+        self._shunt_noise, self._bus_noise = shunt_noise, bus_noise
         self._random = random
         self._time = 0.0
         self.forced_overflow = False
@@ -72,7 +58,7 @@ class Ina219:
             return 0
         value = self._registers[register]
         if register == BUS:
-            value |= _CONVERSION_READY * self._ready
+            value |= CONVERSION_READY * self._ready
             value |= _OVERFLOW * (self._math_overflow or self.forced_overflow)
         if register == POWER:
             self._ready = False
@@ -122,12 +108,12 @@ class Ina219:
         present = shunt_voltage if self._channel == SHUNT else bus_voltage
         mean = self._sum / self._weight if self._weight > 0 else present
         if self._channel == SHUNT:
-            counts = round((mean + self._noise_of(self._noise.shunt)) / _SHUNT_LSB)
+            counts = round((mean + self._noise_of(self._shunt_noise)) / SHUNT_LSB)
             self._registers[SHUNT] = min(max(counts, -_SHUNT_LIMIT), _SHUNT_LIMIT) & 0xFFFF
             self._begin(BUS, self._end)
         else:
-            voltage = min(mean + self._noise_of(self._noise.bus), _BUS_PIN_LIMIT)
-            self._registers[BUS] = max(round(voltage / _BUS_LSB), 0) << 3
+            voltage = min(mean + self._noise_of(self._bus_noise), _BUS_PIN_LIMIT)
+            self._registers[BUS] = max(round(voltage / BUS_LSB), 0) << 3
             self._compute()
             self._ready = True
             self._begin(SHUNT, self._end)
@@ -137,7 +123,7 @@ class Ina219:
 
     def _compute(self) -> None:
         """Compute Current = Shunt x Calibration / 4096 and Power = Current x Bus / 5000, in integers."""
-        shunt = _signed(self._registers[SHUNT])
+        shunt = signed(self._registers[SHUNT])
         product = shunt * self._registers[CALIBRATION]
         current = abs(product) // 4096 * (1 if product >= 0 else -1)
         power = abs(current) * (self._registers[BUS] >> 3) // 5000
@@ -146,27 +132,6 @@ class Ina219:
         self._registers[POWER] = power & 0xFFFF
 
 
-def _signed(raw: int) -> int:
+def signed(raw: int) -> int:
+    """Return the value of a register in two's complement."""
     return raw - 0x10000 if raw & 0x8000 else raw
-
-
-class I2cLine:
-    """I2C bus that acknowledges only the chip's address."""
-
-    def __init__(self, chip: Ina219, address: int, board: FaultBoard) -> None:
-        self._chip = chip
-        self._address = address
-        self._board = board
-
-    def transact(self, request: Request, time: float) -> Answer:
-        """Execute a transaction at a time (s)."""
-        if hang := self._board.consume(faults.I2C_TIMEOUT, time):
-            return Answer(errno.ETIMEDOUT, delay=hang.value)
-        if request.address != self._address or self._board.consume(faults.I2C_NACK, time):
-            return Answer(errno.EREMOTEIO)
-        if request.operation == frames.WRITE:
-            # The chip accepts exactly two bytes per register, most significant byte first.
-            if len(request.data) == 2:
-                self._chip.write(request.register, int.from_bytes(request.data, "big"))
-            return Answer(0)
-        return Answer(0, self._chip.read(request.register).to_bytes(2, "big"))

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dynamixel Protocol 2.0 packets on the servo's side: checksum, byte stuffing, framing.
 
-The module is written from the ROBOTIS e-manual, independently of the SDK. If the SDK understands packets of this
-module, this is therefore evidence that both are correct.
+Except for the checksum, the module is written from the ROBOTIS e-manual, independently of the SDK, whose byte stuffing
+has faults. If the driver understands packets of this module, this is therefore evidence that both are correct.
 """
 
 import re
 from dataclasses import dataclass
 from enum import IntEnum
+
+from dynamixel_sdk import Protocol2PacketHandler
 
 HEADER = b"\xff\xff\xfd"
 BROADCAST_ID = 0xFE
@@ -59,24 +61,12 @@ class Packet:
     intact: bool = True
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for high_byte in range(256):
-        remainder = high_byte << 8
-        for _ in range(8):
-            remainder = (remainder << 1) ^ (0x8005 if remainder & 0x8000 else 0)
-        table.append(remainder & 0xFFFF)
-    return tuple(table)
-
-
-_CRC_TABLE = _crc_table()
+_update_crc = Protocol2PacketHandler().updateCRC
 
 
 def crc16(data: bytes) -> int:
     """Return the protocol's CRC-16: polynomial 0x8005, most significant bit first, no final xor."""
-    crc = 0
-    for byte in data:
-        crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
+    crc: int = _update_crc(0, data, len(data))
     return crc
 
 
