@@ -18,8 +18,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from worm_model.analysis import robot_drawing
-from worm_model.analysis.gait_animation import palette_of, write_animation
-from worm_model.analysis.groove_phases import compute_phase_map, phase_map_figure
 from worm_model.analysis.plot_style import (
     BLUE,
     COMMANDED,
@@ -33,7 +31,7 @@ from worm_model.analysis.plot_style import (
     new_figure,
 )
 from worm_model.analysis.simulated_run import simulated_run
-from worm_model.gait import FORWARD, STROKE_RANGE, Gait
+from worm_model.gait import FORWARD, Gait
 from worm_model.margin.half_cycles import Fin, Motion, half_cycles
 from worm_model.margin.run_switches import run_switches
 from worm_model.parameters import PAPER, ParameterFile, Parameters
@@ -48,7 +46,7 @@ from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.front import RobustFront, make_front, scanned_price
 from worm_optimizer.search.search_settings import Settings, settings_of
 
-# Set by a test that every picture is drawn: fronts at one frequency and a map of few points take seconds, not a minute.
+# Set by a test that every picture is drawn: fronts at one frequency take seconds, not a minute.
 COARSE = "WORM_COARSE_PICTURES" in os.environ
 FOLDER = Path(__file__).with_name("figures") / "model"
 GAIT = Gait(stroke=0.07, frequency=0.2)
@@ -357,14 +355,6 @@ def price_picture() -> Figure:
     return price_figure(scanned_price(ParameterFile(), _settings(), FORWARD))
 
 
-def phase_map_picture() -> Figure:
-    """Plot the map of groove phases at the gait's frequency."""
-    count = 13 if COARSE else 121
-    phase = np.linspace(-0.5 * p.pitch, 0.5 * p.pitch, count + 1)[1:]
-    content = compute_phase_map(p, GAIT, np.linspace(*STROKE_RANGE, count), phase)
-    return phase_map_figure(content)
-
-
 def _settings(**changes: object) -> Settings:
     """Return the default settings with changes."""
     settings = settings_of(changes)
@@ -506,13 +496,11 @@ PICTURES: Mapping[str, Callable[[], Figure]] = {
     "cable_slack": cable_slack_picture,
     "groove_phase": groove_phase_picture,
     "price_of_robustness": price_picture,
-    "phase_map": phase_map_picture,
     "waveforms": waveforms_picture,
     "waveform_gain": waveform_gain_picture,
     "capability": capability_picture,
     "measured_margin": measured_margin_picture,
 }
-ANIMATION = "gait.gif"
 
 
 def _write_png(figure: Figure, path: Path) -> None:
@@ -521,17 +509,14 @@ def _write_png(figure: Figure, path: Path) -> None:
     figure.savefig(buffer, format="png", dpi=DPI)
     with Image.open(buffer) as image:
         colours = image.convert("RGB")
-    palette = palette_of(colours)
-    colours.quantize(palette=palette, dither=Image.Dither.NONE).save(path, optimize=True)
+    colours.quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def main(folder: Path) -> None:
-    """Write all pictures and the animation into a folder."""
+    """Write all pictures into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, draw in PICTURES.items():
         _write_png(draw(), folder / f"{name}.png")
-    rate = 2.5 if COARSE else 12.5  # frames per second
-    write_animation(simulated_run(GAIT, p, 2, rate), folder / ANIMATION, lambda _: None)
 
 
 if __name__ == "__main__":

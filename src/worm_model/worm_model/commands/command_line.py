@@ -23,18 +23,9 @@ from worm_msgs.command_parser import BAD_INPUT, DONE, FAILED, notifier, run_comm
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, GAIT_MEANINGS, GAIT_UNITS, REVERSE, Profile
 
-__all__ = [
-    "BAD_INPUT",
-    "DONE",
-    "FAILED",
-    "InputError",
-    "Parser",
-    "ProgressLine",
-    "elapsed",
-    "executable",
-    "notifier",
-    "run_command",
-]
+__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "notifier", "run_command"]
+
+FIGURES = (".png", ".pdf", ".svg")  # formats of figures
 
 
 class Parser(command_parser.Parser):
@@ -174,10 +165,9 @@ def figure_file(options: argparse.Namespace) -> Path | None:
     """Return the new file of --figure, or None without that option; raise `InputError` if it cannot be created."""
     if options.figure is None:
         return None
-    from worm_model.analysis.plot_style import check_format
-
     path = new_file(options.figure)
-    check_format(path)
+    if path.suffix.lower() not in FIGURES:
+        raise InputError(f"--figure {path}: end its name in {', '.join(FIGURES)}")
     return path
 
 

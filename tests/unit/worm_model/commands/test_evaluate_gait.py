@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines evaluate_gait and phase_map, as scripts use them."""
+"""The command line evaluate_gait, as scripts use it."""
 
 import csv
 import json
@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from worm_model.commands import evaluate_gait as command
-from worm_model.commands import phase_map
 from worm_model.gait import Gait, Profile
 from worm_model.loads import under
 from worm_model.parameters import PAPER
@@ -110,24 +109,6 @@ def test_bad_tables_name_the_place(run, tmp_path: Path, text: str, message: str)
     assert status == 2
     assert message in err
     assert not output.exists()
-
-
-def test_phase_map_counts_grooves_and_draws(run, tmp_path: Path) -> None:
-    figure = tmp_path / "map.png"
-    status, out, _ = run(
-        phase_map, "--points", "12", "--frequency", "0.15", "--figure", str(figure), "--json"
-    )
-    content = json.loads(out)
-    assert status == 0
-    assert figure.stat().st_size > 10_000
-    grooves, phases = content["grooves_per_cycle"], content["groove_phases"]
-    assert len(grooves) == len(phases) == 12
-    assert phases[-1] == pytest.approx(0.5 * PAPER.pitch)
-    assert phases[0] > -0.5 * PAPER.pitch
-    length = 17 * PAPER.pitch + phases[7]
-    gait = Gait(content["stroke"][10], 0.15)
-    expected = evaluate_gait(gait, PAPER.replace(initial_length=length)).grooves_per_cycle
-    assert grooves[7][10] == round(expected)
 
 
 WAVEFORM = "--pretension 0.0115 --contraction-share 0.6 --profile trapezoid --ramp-share 0.1"
