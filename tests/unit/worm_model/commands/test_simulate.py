@@ -50,5 +50,5 @@ def test_the_recording_is_that_of_a_robot_like_the_twin(run, tmp_path):
     assert run(command, *arguments)[0] == 0
     report = json.loads(run(replay, path, "--json")[1])
     assert [cycle["complete"] for cycle in report["cycles"]] == [True] * 3
-    assert report["x1_rmse"] < 1e-5
+    assert report["x1_rmse"] < 1e-4
     assert abs(report["energy_error"]) < 0.01
