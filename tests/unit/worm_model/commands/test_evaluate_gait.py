@@ -32,34 +32,57 @@ def test_json_is_one_object_with_the_contracts_keys(run) -> None:
     assert gait["groove_phase"] == pytest.approx(0.0011)
 
 
-def test_table_has_the_references_columns_and_further_parameters(run, tmp_path: Path) -> None:
-    source, target = tmp_path / "in.csv", tmp_path / "out.csv"
-    source.write_text(
-        "stroke_m,frequency_Hz,margin_m,L0_m,direction,viscous_friction\n"
-        "0.07,0.2,0,0.2952,1,86.97\n0.0755,0.15,0.0034,0.2952,-1,95\n"
-    )
-    status, _, _ = run(command, "--gaits", str(source), "--output", str(target))
+def evaluated(run, source: Path, target: Path) -> tuple[dict, list[dict[str, str]]]:
+    """Return the report on a table of gaits, and the rows of the written table."""
+    status, out, _ = run(command, "--gaits", str(source), "--output", str(target), "--json")
     assert status == 0
     with target.open() as file:
-        rows = list(csv.DictReader(file))
-    expected = evaluate_gait(Gait(0.0755, 0.15, -1, 0.0034), PAPER.replace(viscous_friction=95.0))
-    assert float(rows[1]["speed_m_s"]) == pytest.approx(expected.speed, rel=1e-12)
-    assert float(rows[1]["power_W"]) == pytest.approx(expected.power, rel=1e-9)
-    assert int(rows[1]["switches_5_cycles"]) == expected.switches
-    assert float(rows[1]["viscous_friction"]) == 95.0
-    again, _, err = run(command, "--gaits", str(source), "--output", str(target))
-    assert again == 2
-    assert "out.csv: exists" in err
+        return json.loads(out), list(csv.DictReader(file))
 
 
-def test_reference_table_comes_back_with_its_columns(run, shared: Path, tmp_path: Path) -> None:
-    target = tmp_path / "out.csv"
+def test_reference_table_comes_back(run, shared: Path, tmp_path: Path) -> None:
     source = shared / "reference" / "gaits.csv"
-    assert run(command, "--gaits", str(source), "--output", str(target))[0] == 0
+    _, rows = evaluated(run, source, tmp_path / "out.csv")
     with source.open() as file:
-        columns = next(csv.reader(file))
-    with target.open() as file:
-        assert next(csv.reader(file))[: len(columns)] == columns
+        expected = list(csv.DictReader(file))
+    assert len(rows) == len(expected) == 16
+    for row, reference in zip(rows, expected, strict=True):
+        assert list(row)[: len(reference)] == list(reference)
+        for name, rel, least in (
+            ("speed_m_s", 1e-9, 1e-10),
+            ("power_W", 1e-6, 0.0),
+            ("switches_5_cycles", 0.0, 0.0),
+            ("grooves_per_cycle", 0.0, 1e-6),
+        ):
+            assert float(row[name]) == pytest.approx(float(reference[name]), rel=rel, abs=least)
+
+
+def test_a_table_has_parameters_loads_and_waveforms(run, tmp_path: Path) -> None:
+    source, target = tmp_path / "in.csv", tmp_path / "out.csv"
+    source.write_text(
+        "stroke_m,frequency_Hz,margin_m,L0_m,direction,viscous_friction,rear_load,front_load,"
+        "pretension_m,contraction_share,profile,ramp_share\n"
+        "0.0755,0.15,0.0034,0.2952,-1,95,0,0,0,0.5,cosine,0.25\n"
+        "0.06,0.2,0,0.2952,1,86.97,1,0.5,0.01,0.6,trapezoid,0.2\n"
+        "0.07,0.2,0,0.2952,1,86.97,60,0,0,0.5,cosine,0.25\n"
+    )
+    report, rows = evaluated(run, source, target)
+    assert report["without_figures"] == [4]
+    assert [row["profile"] for row in rows] == ["cosine", "trapezoid", "cosine"]
+    assert [float(row["viscous_friction"]) for row in rows] == [95.0, 86.97, 86.97]
+    cases = (
+        (Gait(0.0755, 0.15, -1, 0.0034), {"viscous_friction": 95.0}),
+        (
+            Gait(0.06, 0.2, 1, 0.0, 0.01, 0.6, Profile.TRAPEZOID, 0.2),
+            {"rear_load": 1.0, "front_load": 0.5},
+        ),
+    )
+    for row, (gait, changes) in zip(rows, cases, strict=False):
+        expected = evaluate_gait(gait, PAPER.replace(**changes))
+        assert float(row["speed_m_s"]) == pytest.approx(expected.speed, rel=1e-12)
+        assert float(row["power_W"]) == pytest.approx(expected.power, rel=1e-8)
+        assert int(row["switches_5_cycles"]) == expected.switches
+    assert rows[2]["speed_m_s"] == rows[2]["power_W"] == "nan"
 
 
 @pytest.mark.parametrize(
@@ -104,22 +127,3 @@ def test_conditions_and_waveform_are_options(run) -> None:
     )
     assert gait["power"] == expected.power
     assert gait["speed"] == expected.speed
-
-
-def test_a_table_has_loads_and_waveforms(run, tmp_path: Path) -> None:
-    source, output = tmp_path / "in.csv", tmp_path / "out.csv"
-    source.write_text(
-        "stroke_m,frequency_Hz,rear_load,front_load,pretension_m,contraction_share,profile,ramp_share\n"
-        "0.06,0.2,1,0.5,0.01,0.6,trapezoid,0.2\n0.07,0.2,0,0,0,0.5,cosine,0.25\n0.07,0.2,60,0,0,0.5,cosine,0.25\n"
-    )
-    status, out, _ = run(command, "--gaits", str(source), "--output", str(output), "--json")
-    assert status == 0
-    assert json.loads(out)["without_figures"] == [4]
-    with output.open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["profile"] for row in rows] == ["trapezoid", "cosine", "cosine"]
-    first = Gait(0.06, 0.2, 1, 0.0, 0.01, 0.6, Profile.TRAPEZOID, 0.2)
-    expected = evaluate_gait(first, PAPER.replace(rear_load=1.0, front_load=0.5))
-    assert float(rows[0]["power_W"]) == pytest.approx(expected.power, rel=1e-8)
-    assert float(rows[1]["power_W"]) == pytest.approx(evaluate_gait(Gait(0.07, 0.2)).power)
-    assert rows[2]["speed_m_s"] == rows[2]["power_W"] == "nan"
