@@ -37,6 +37,7 @@ from worm_model.simulation.kernel.mode import (
     fin_force,
     fin_stiffness,
     mode_of,
+    moved,
 )
 
 STILL = 1e-11  # m/s
@@ -169,14 +170,7 @@ def enter_dry_mode(
     frictions. No work depends on this assumption, because ΔL is constant.
     """
     grip, rate = _judge(motion, length_change, wave, c, start)
-    motion = Motion(
-        motion.y,
-        rate,
-        motion.rear_groove,
-        motion.front_groove,
-        motion.rear_region,
-        motion.front_region,
-    )
+    motion = moved(motion, motion.y, rate)
     push = -(c.resistance.rear_dry * grip.rear + c.resistance.front_dry * grip.front)
     mode = enter_mode(motion, length_change, wave, c, start, push)
     if grip.rear == 0 or grip.front == 0:
