@@ -151,17 +151,10 @@ def settled_power(run: Run, replay: Replay) -> Samples:
 
     The twin's power is the measured power minus the residual.
     """
-    residuals = replay.residuals
-    judged = np.isfinite(residuals["power"])
-    stamp, residual = residuals["stamp_ns"][judged], residuals["power"][judged]
-    samples = run.power
-    if not (stamp.size and samples.stamp.size):
-        return np.empty(0, np.int64), np.empty(0)
-    order = np.argsort(samples.stamp, kind="stable")
-    ordered = samples.stamp[order]
-    row = np.minimum(np.searchsorted(ordered, stamp), ordered.size - 1)
-    same = ordered[row] == stamp
-    return stamp[same], samples.valid_power[order][row[same]] - residual[same]
+    judged = np.isfinite(replay.residuals["power"])
+    stamp, residual = replay.residuals["stamp_ns"][judged], replay.residuals["power"][judged]
+    same, rows, of = np.intersect1d(run.power.stamp, stamp, return_indices=True)
+    return same, run.power.valid_power[rows] - residual[of]
 
 
 def value_at_onset(time: Array, values: Array) -> float:

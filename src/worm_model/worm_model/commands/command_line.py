@@ -190,9 +190,7 @@ def finite(content: Any) -> Any:
         return [finite(value) for value in content]
     if isinstance(content, Profile):
         return str(content)
-    if hasattr(content, "item") and getattr(content, "ndim", 0) == 0:
-        content = content.item()  # a numpy scalar
-    if hasattr(content, "tolist"):
+    if hasattr(content, "tolist"):  # of NumPy
         return finite(content.tolist())
     if isinstance(content, float) and not math.isfinite(content):
         return None

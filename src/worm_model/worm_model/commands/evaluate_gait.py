@@ -43,14 +43,14 @@ def gait_json(result: GaitResult, conditions: Conditions) -> dict[str, Any]:
 
 def _waveform(gait: Gait) -> str:
     """Return the differences from the paper's waveform as text; empty for the paper's waveform."""
-    parts = []
+    text = ""
     if gait.pretension:
-        parts.append(f"pretension {gait.pretension * 1e3:.2f} mm")
+        text += f", pretension {gait.pretension * 1e3:.2f} mm"
     if gait.contraction_share != 0.5:
-        parts.append(f"contraction share {gait.contraction_share:.3f}")
+        text += f", contraction share {gait.contraction_share:.3f}"
     if gait.profile is Profile.TRAPEZOID:
-        parts.append(f"trapezoid with a ramp share of {gait.ramp_share:.3f}")
-    return "".join(f", {part}" for part in parts)
+        text += f", trapezoid with a ramp share of {gait.ramp_share:.3f}"
+    return text
 
 
 def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str:
