@@ -12,7 +12,6 @@ NAME = "worm_model"
 EXECUTABLES: list[str] = [  # "executable = module:function"
     "evaluate_gait = worm_model.commands.evaluate_gait:main",
     "simulate = worm_model.commands.simulate:main",
-    "phase_map = worm_model.commands.phase_map:main",
     "export = worm_model.commands.export:main",
     "identify = worm_model.commands.identify:main",
     "import_lab = worm_model.commands.import_lab:main",
@@ -34,7 +33,6 @@ NEEDED = [
     "mcap>=1.1",
     "numba>=0.58",
     "numpy>=1.26",
-    "pillow>=10",
     "PyYAML>=6",
     "rosbags>=0.11",
     "scipy>=1.11",

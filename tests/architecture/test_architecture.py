@@ -84,7 +84,7 @@ CONFINED = {
         "*_plots.py",
         "*/report/*.py",
     ],
-    "PIL": ["worm_model/analysis/gait_animation.py"],
+    "PIL": [],
     "pydantic": ["worm_msgs/settings_file.py"],
     "pydantic_core": ["worm_msgs/settings_file.py"],
     "jinja2": ["worm_optimizer/report/report_page.py"],

@@ -30,7 +30,7 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
         ("worm_model", name): ()
         for name in (
             *("evaluate_gait", "export", "health", "identify", "import_lab"),
-            *("bags", "margin", "phase_map", "recover", "replay", "simulate"),
+            *("bags", "margin", "recover", "replay", "simulate"),
         )
     },
     ("worm_optimizer", "optimize"): SMALL_FRONT,

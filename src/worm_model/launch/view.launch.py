@@ -3,13 +3,12 @@
 
 robot_state_publisher publishes the frames of urdf/worm.urdf: those of the modules from the joint states of the twin,
 those of spool and fins from the joint states of the driver. The pipe is fixed in odom, the frame of the twin's
-odometry. The argument camera:= adds the frames camera and, for its images, camera_optical_frame. Frames are published
-on the topics tf and tf_static of the robot's namespace, because each robot has its own pipe.
+odometry. Frames are published on the topics tf and tf_static of the robot's namespace, because each robot has its own
+pipe.
 """
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -21,7 +20,6 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 SHARE = Path(get_package_share_directory("worm_model"))
 _TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
-_POSE = ("--x", "--y", "--z", "--yaw", "--pitch", "--roll")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -35,12 +33,6 @@ def generate_launch_description() -> LaunchDescription:
                 choices=["true", "false"],
                 description="start RViz, too",
             ),
-            DeclareLaunchArgument(
-                "camera",
-                default_value="",
-                description="pose of the camera in the pipe's frame, 'x y z yaw pitch roll' in m and rad; empty: "
-                "no camera frames",
-            ),
             OpaqueFunction(function=_start),
         ]
     )
@@ -53,12 +45,17 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     namespace = value("namespace").strip("/")
     robot = (SHARE / "urdf" / "worm.urdf").read_text(encoding="utf-8")
     nodes = [
-        _fixed(namespace, "odom", "pipe", ["0"] * len(_POSE)),
+        Node(
+            package="tf2_ros",
+            executable="static_transform_publisher",
+            name="pipe_transform",
+            namespace=namespace,
+            arguments=["--frame-id", "odom", "--child-frame-id", "pipe"],
+            remappings=_TF,
+        ),
         _frames(namespace, robot, "twin_state_publisher", "twin/joint_states"),
         _frames(namespace, robot, "servo_state_publisher", "joint_states"),
     ]
-    if value("camera"):
-        nodes += _camera(namespace, value("camera"))
     if value("rviz") == "true":
         nodes.append(
             Node(
@@ -81,30 +78,4 @@ def _frames(namespace: str, robot: str, name: str, topic: str) -> Node:
         namespace=namespace,
         parameters=[{"robot_description": ParameterValue(robot, value_type=str)}],  # not YAML
         remappings=[*_TF, ("joint_states", topic)],
-    )
-
-
-def _camera(namespace: str, pose: str) -> list[Node]:
-    """Return publishers of the camera frame (x in viewing direction) and the optical frame (REP 103: z there)."""
-    values = pose.split()
-    if len(values) != len(_POSE):
-        raise ValueError(
-            f"camera:='{pose}': expected six numbers, x y z yaw pitch roll in m and rad"
-        )
-    right = f"{-math.pi / 2}"
-    return [
-        _fixed(namespace, "pipe", "camera", values),
-        _fixed(namespace, "camera", "camera_optical_frame", ["0", "0", "0", right, "0", right]),
-    ]
-
-
-def _fixed(namespace: str, parent: str, child: str, pose: list[str]) -> Node:
-    words = [word for pair in zip(_POSE, pose, strict=True) for word in pair]
-    return Node(
-        package="tf2_ros",
-        executable="static_transform_publisher",
-        name=f"{child}_transform",
-        namespace=namespace,
-        arguments=[*words, "--frame-id", parent, "--child-frame-id", child],
-        remappings=_TF,
     )

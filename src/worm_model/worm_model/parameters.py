@@ -9,7 +9,6 @@ as ``initial_length`` and the dry friction of both modules (see `Parameters`). A
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import numbers
 from collections.abc import Container, Mapping
@@ -22,7 +21,7 @@ import yaml
 from worm_model.errors import InputError
 from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters, TravelError, rows_of
 from worm_msgs.settings_file import settings_of
-from worm_msgs.yaml_file import SettingsFileError, read_yaml
+from worm_msgs.yaml_file import SettingsFileError, read_yaml, unknown_name
 
 
 class ParameterError(InputError):
@@ -80,7 +79,7 @@ class Parameters(RobotParameters):
         """Return a copy with changed values. Raises `ParameterError` for an unknown key or an inadmissible value."""
         unknown = set(changes) - {*KEYS, FORM}
         if unknown:
-            raise ParameterError(_unknown_key(sorted(unknown)[0]))
+            raise ParameterError(unknown_name("parameter", sorted(unknown)[0], (*KEYS, FORM)))
         return dataclasses.replace(self, **changes)
 
     def as_dict(self) -> dict[str, float]:
@@ -131,13 +130,6 @@ class ParameterFile:
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     run_to_run: Mapping[str, float] = field(default_factory=dict)
     travel_error: TravelError | None = None
-
-
-def _unknown_key(key: str) -> str:
-    known = (*KEYS, FORM)
-    close = difflib.get_close_matches(key, known, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"known keys: {', '.join(known)}"
-    return f"{key}: no such parameter; {hint}"
 
 
 def _check_form(

@@ -18,8 +18,6 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from worm_model.errors import InputError
-
 # Okabe and Ito's palette (https://jfly.uni-koeln.de/color), and further colours that contrast with it
 BLUE, VERMILION, GREEN, PINK, SKY, ORANGE = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00",
@@ -38,7 +36,6 @@ EFFECTIVE: Style = {"color": GREEN, "linewidth": 1.5, "linestyle": "-."}
 _AVERAGED = "#FFF3CF"  # background of the averaged cycles
 
 DPI = 150
-FORMATS = (".png", ".pdf", ".svg")
 MM = 1e3  # mm per m
 MARGIN_SYMBOL = r"$\delta_\mathrm{m}$"
 
@@ -51,12 +48,6 @@ _UNDATED: Mapping[str, dict[str, None]] = {  # so that equal data produce equal 
 def new_figure(width: float, height: float) -> Figure:
     """Return a figure of a size in inches with constrained layout."""
     return Figure(figsize=(width, height), layout="constrained")
-
-
-def check_format(path: Path) -> None:
-    """Raise `InputError` unless a figure's name ends in one of `FORMATS`."""
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f"--figure {path}: end its name in {', '.join(FORMATS)}")
 
 
 def save_figure(figure: Figure, path: Path) -> None:

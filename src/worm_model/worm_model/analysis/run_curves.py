@@ -6,14 +6,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from worm_model.analysis import plot_style
+from worm_model.analysis import plot_style, run_plots
 from worm_model.analysis.run_metrics import (
     Samples,
     accumulated_energy,
     averaged_cycles,
     last_played_gait,
 )
-from worm_model.analysis.run_plots import Curve, Curves, Frame, overview_figure, simulation_figure
+from worm_model.analysis.run_plots import Curve, Curves, Frame
 from worm_model.analysis.simulated_run import SimulatedRun
 from worm_model.arrays import Array
 from worm_model.gait import AVERAGED
@@ -38,42 +38,51 @@ def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") 
     positions, residuals = position_curves(run, replay, played.onset)
     lengths, _ = length_curves(run, played.onset, parameters)
     powers = power_curves(run, replay, played.onset)
-    return overview_figure(frame, positions, residuals, lengths, powers, parameters.pitch)
+    return run_plots.figure_of(
+        frame,
+        [
+            run_plots.positions_panel(run_plots.X1, positions, parameters.pitch),
+            run_plots.residuals_panel(residuals),
+            run_plots.length_panel(lengths),
+            run_plots.power_panel(powers),
+        ],
+    )
 
 
 def plot_simulated_run(run: SimulatedRun) -> Figure:
-    """Return a figure of the length change, the forces, the power, and the advance of both modules and anchors."""
+    """Return a figure of the advance of both modules and anchors, the length change, the forces, and the power."""
     p, motions, time, period = run.parameters, run.motions, run.time, run.gait.period
-    front = motions.front_anchor[0]
+
+    def curves(*rows: tuple[str, Array, plot_style.Style]) -> Curves:
+        return [Curve(label, time, values, style) for label, values, style in rows]
+
+    advances = curves(
+        ("rear module x1", motions.x1, plot_style.MEASURED),
+        ("front module x2 − L0", motions.x2 - p.initial_length, plot_style.PREDICTED),
+        ("anchor A1", motions.rear_anchor, plot_style.CABLE),
+        ("anchor A2 − A2(0)", motions.front_anchor - motions.front_anchor[0], plot_style.EFFECTIVE),
+    )
+    effective = effective_command(run.command, p.slack)
+    lengths = curves(
+        ("commanded", run.command, plot_style.COMMANDED),
+        (plot_style.EFFECTIVE_INPUT, effective, plot_style.EFFECTIVE),
+        ("realised", motions.length - p.initial_length, plot_style.MEASURED),
+    )
+    forces = curves(
+        ("cable F_c", motions.cable_force, plot_style.MEASURED),
+        ("rear fins F_1", motions.rear_force, plot_style.PREDICTED),
+        ("front fins F_2", motions.front_force, plot_style.EFFECTIVE),
+    )
     averaged = max(run.cycles - AVERAGED, 0) * period, run.cycles * period
     title = f"{1e3 * run.gait.stroke:g} mm at {run.gait.frequency:g} Hz"
-    return simulation_figure(
+    return run_plots.figure_of(
         Frame(0.0, float(time[-1]), averaged, title),
         [
-            Curve("rear module x1", time, motions.x1, plot_style.MEASURED),
-            Curve(
-                "front module x2 − L0", time, motions.x2 - p.initial_length, plot_style.PREDICTED
-            ),
-            Curve("anchor A1", time, motions.rear_anchor, plot_style.CABLE),
-            Curve("anchor A2 − A2(0)", time, motions.front_anchor - front, plot_style.EFFECTIVE),
+            run_plots.positions_panel("advance (mm)", advances, p.pitch),
+            run_plots.length_panel(lengths),
+            run_plots.Panel("force (N)", forces),
+            run_plots.power_panel(curves(("source power", motions.power, plot_style.MEASURED))),
         ],
-        [
-            Curve("commanded", time, run.command, plot_style.COMMANDED),
-            Curve(
-                plot_style.EFFECTIVE_INPUT,
-                time,
-                effective_command(run.command, p.slack),
-                plot_style.EFFECTIVE,
-            ),
-            Curve("realised", time, motions.length - p.initial_length, plot_style.MEASURED),
-        ],
-        [
-            Curve("cable F_c", time, motions.cable_force, plot_style.MEASURED),
-            Curve("rear fins F_1", time, motions.rear_force, plot_style.PREDICTED),
-            Curve("front fins F_2", time, motions.front_force, plot_style.EFFECTIVE),
-        ],
-        [Curve("source power", time, motions.power, plot_style.MEASURED)],
-        p.pitch,
     )
 
 
@@ -142,17 +151,10 @@ def settled_power(run: Run, replay: Replay) -> Samples:
 
     The twin's power is the measured power minus the residual.
     """
-    residuals = replay.residuals
-    judged = np.isfinite(residuals["power"])
-    stamp, residual = residuals["stamp_ns"][judged], residuals["power"][judged]
-    samples = run.power
-    if not (stamp.size and samples.stamp.size):
-        return np.empty(0, np.int64), np.empty(0)
-    order = np.argsort(samples.stamp, kind="stable")
-    ordered = samples.stamp[order]
-    row = np.minimum(np.searchsorted(ordered, stamp), ordered.size - 1)
-    same = ordered[row] == stamp
-    return stamp[same], samples.valid_power[order][row[same]] - residual[same]
+    judged = np.isfinite(replay.residuals["power"])
+    stamp, residual = replay.residuals["stamp_ns"][judged], replay.residuals["power"][judged]
+    same, rows, of = np.intersect1d(run.power.stamp, stamp, return_indices=True)
+    return same, run.power.valid_power[rows] - residual[of]
 
 
 def value_at_onset(time: Array, values: Array) -> float:

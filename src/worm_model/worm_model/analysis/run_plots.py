@@ -20,6 +20,8 @@ from worm_model.arrays import Array
 
 WIDTH, _HEIGHT = 8.5, 1.75  # inches; width of a figure, height of a panel of weight 2
 _TIME = "time since the gait's onset (s)"
+_RIDGES = "horizontal lines: the pipe's ridges"
+X1 = "rear module x1 (mm)"
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class _Panel:
+class Panel:
     """One diagram of a figure.
 
     Attributes:
@@ -54,7 +56,6 @@ class _Panel:
         curves: the curves.
         scale: factor from SI units to the unit of the y axis.
         weight: relative height.
-        note: text above the axes; empty: none.
         pitch: distance between the horizontal lines that mark the pipe's ridges, m; None: no lines.
     """
 
@@ -62,91 +63,50 @@ class _Panel:
     curves: Curves
     scale: float = 1.0
     weight: float = 2.0
-    note: str = ""
     pitch: float | None = None
+
+
+def positions_panel(label: str, curves: Curves, pitch: float | None = None) -> Panel:
+    """Return the panel of positions in mm, with lines at the ridges of the pipe (``pitch`` in m)."""
+    return Panel(label, curves, plot_style.MM, 3.0, pitch)
+
+
+def residuals_panel(curves: Curves, unit: str = "mm", scale: float = plot_style.MM) -> Panel:
+    """Return the panel of residuals."""
+    return Panel(f"residual ({unit})", curves, scale, 1.2)
+
+
+def length_panel(curves: Curves) -> Panel:
+    """Return the panel of the length change."""
+    return Panel("length change ΔL (mm)", curves, plot_style.MM)
+
+
+def power_panel(curves: Curves) -> Panel:
+    """Return the panel of the source power."""
+    return Panel("source power (W)", curves)
 
 
 def motion_figure(frame: Frame, positions: Curves, residuals: Curves, pitch: float) -> Figure:
     """Return a figure of x1, with lines at the ridges of the pipe (``pitch`` in m), and of the residual of x1."""
-    return _figure(
-        frame, [_positions(positions, pitch), _residuals(residuals, "mm", plot_style.MM)]
-    )
+    x1 = positions_panel(X1, positions, pitch)
+    return figure_of(frame, [x1, residuals_panel(residuals)])
 
 
 def length_figure(frame: Frame, lengths: Curves, inputs: Curves) -> Figure:
     """Return a figure of the length change and, below it, of the commanded and effective inputs (eq:slack_clip)."""
-    return _figure(
-        frame,
-        [
-            _Panel("length change ΔL (mm)", lengths, plot_style.MM),
-            _Panel("input (mm)", inputs, plot_style.MM),
-        ],
-    )
+    return figure_of(frame, [length_panel(lengths), Panel("input (mm)", inputs, plot_style.MM)])
 
 
 def energy_figure(frame: Frame, powers: Curves, energies: Curves, residuals: Curves) -> Figure:
     """Return a figure of the source power, of the energy, and of the residual of the energy."""
-    return _figure(
-        frame,
-        [
-            _Panel("source power (W)", powers),
-            _Panel("energy (J)", energies),
-            _residuals(residuals, "J", 1.0),
-        ],
-    )
-
-
-def overview_figure(
-    frame: Frame,
-    positions: Curves,
-    residuals: Curves,
-    lengths: Curves,
-    powers: Curves,
-    pitch: float,
-) -> Figure:
-    """Return a figure of a run: x1, its residual, length change and source power."""
-    return _figure(
-        frame,
-        [
-            _positions(positions, pitch),
-            _residuals(residuals, "mm", plot_style.MM),
-            _Panel("length change ΔL (mm)", lengths, plot_style.MM),
-            _Panel("source power (W)", powers),
-        ],
-    )
+    energy, residual = Panel("energy (J)", energies), residuals_panel(residuals, "J", 1.0)
+    return figure_of(frame, [power_panel(powers), energy, residual])
 
 
 def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figure:
     """Return a figure of several runs: the advance of x1 along each gait's direction, and the energy."""
-    return _figure(
-        frame,
-        [
-            _Panel("advance of x1 (mm)", advances, plot_style.MM, 3.0),
-            _Panel("energy (J)", energies),
-        ],
-    )
-
-
-def simulation_figure(
-    frame: Frame, positions: Curves, lengths: Curves, forces: Curves, powers: Curves, pitch: float
-) -> Figure:
-    """Return a figure of a simulated gait: modules and anchors, length, forces, power."""
-    return _figure(
-        frame,
-        [
-            _Panel(
-                "advance (mm)",
-                positions,
-                plot_style.MM,
-                3.0,
-                "horizontal lines: the pipe's ridges",
-                pitch,
-            ),
-            _Panel("length change ΔL (mm)", lengths, plot_style.MM),
-            _Panel("force (N)", forces),
-            _Panel("source power (W)", powers),
-        ],
-    )
+    advance = positions_panel("advance of x1 (mm)", advances)
+    return figure_of(frame, [advance, Panel("energy (J)", energies)])
 
 
 def run_style(number: int) -> dict[str, Any]:
@@ -154,16 +114,8 @@ def run_style(number: int) -> dict[str, Any]:
     return {"color": plot_style.CYCLE[number % len(plot_style.CYCLE)], "linewidth": 1.2}
 
 
-def _positions(curves: Curves, pitch: float) -> _Panel:
-    note = "horizontal lines: the pipe's ridges"
-    return _Panel("rear module x1 (mm)", curves, plot_style.MM, 3.0, note, pitch)
-
-
-def _residuals(curves: Curves, unit: str, scale: float) -> _Panel:
-    return _Panel(f"residual ({unit})", curves, scale, 1.2)
-
-
-def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
+def figure_of(frame: Frame, contents: Sequence[Panel]) -> Figure:
+    """Return a figure with the panels one below the other; the averaged cycles are shaded."""
     weights = [content.weight for content in contents]
     figure = plot_style.new_figure(WIDTH, 0.8 + 0.5 * _HEIGHT * sum(weights))
     if frame.title:
@@ -171,12 +123,13 @@ def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
     panels = list(
         np.atleast_1d(figure.subplots(len(contents), 1, sharex=True, height_ratios=weights))
     )
+    panels[-1].set_xlabel(_TIME)
     for axes, content in zip(panels, contents, strict=True):
         _draw(axes, content, frame)
-    panels[-1].set_xlabel(_TIME)
-    _shade_averaged(panels, frame)
-    for axes, content in zip(panels, contents, strict=True):
-        plot_style.finish(axes, content.label, content.note)
+        if frame.averaged is not None and frame.averaged[0] < frame.end:
+            label = "averaged cycles" if axes is panels[0] else ""
+            plot_style.shade(axes, *frame.averaged, label=label)
+        plot_style.finish(axes, content.label, "" if content.pitch is None else _RIDGES)
         if content.pitch is not None:
             _rule_ridges(axes, plot_style.MM * content.pitch)
     plot_style.letter(panels)
@@ -184,7 +137,7 @@ def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, content: _Panel, frame: Frame) -> None:
+def _draw(axes: Axes, content: Panel, frame: Frame) -> None:
     """Draw the curves within the frame, so that values outside do not affect the axes."""
     for curve in content.curves:
         inside = (curve.time >= frame.start) & (curve.time <= frame.end)
@@ -195,15 +148,6 @@ def _draw(axes: Axes, content: _Panel, frame: Frame) -> None:
             **curve.style,
         )
     axes.set_xlim(frame.start, frame.end)
-
-
-def _shade_averaged(panels: Sequence[Axes], frame: Frame) -> None:
-    if frame.averaged is None or frame.averaged[0] >= frame.end:
-        return
-    for axes in panels:
-        plot_style.shade(
-            axes, *frame.averaged, label="averaged cycles" if axes is panels[0] else ""
-        )
 
 
 def _rule_ridges(axes: Axes, pitch: float) -> None:

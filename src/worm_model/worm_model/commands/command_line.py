@@ -23,18 +23,9 @@ from worm_msgs.command_parser import BAD_INPUT, DONE, FAILED, notifier, run_comm
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, GAIT_MEANINGS, GAIT_UNITS, REVERSE, Profile
 
-__all__ = [
-    "BAD_INPUT",
-    "DONE",
-    "FAILED",
-    "InputError",
-    "Parser",
-    "ProgressLine",
-    "elapsed",
-    "executable",
-    "notifier",
-    "run_command",
-]
+__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "notifier", "run_command"]
+
+FIGURES = (".png", ".pdf", ".svg")  # formats of figures
 
 
 class Parser(command_parser.Parser):
@@ -59,7 +50,12 @@ class Parser(command_parser.Parser):
                 self.add_direction()
                 continue
             if name == "profile":
-                self.add_profile()
+                self.add_argument(
+                    "--profile",
+                    default=str(Profile.COSINE),
+                    choices=[str(profile) for profile in Profile],
+                    help=f"{GAIT_MEANINGS[name]} (default: {Profile.COSINE})",
+                )
                 continue
             needed = required and name not in GAIT_DEFAULTS
             meaning = GAIT_MEANINGS[name] + (f" in {unit}" if unit != "1" else "")
@@ -75,15 +71,6 @@ class Parser(command_parser.Parser):
             default=FORWARD,
             choices=(FORWARD, REVERSE),
             help=f"{FORWARD}: forward (default), {REVERSE}: reverse",
-        )
-
-    def add_profile(self) -> None:
-        """Add --profile."""
-        self.add_argument(
-            "--profile",
-            default=str(Profile.COSINE),
-            choices=[str(profile) for profile in Profile],
-            help=f"{GAIT_MEANINGS['profile']} (default: {Profile.COSINE})",
         )
 
     def add_conditions(self, default: float | None = 0.0) -> None:
@@ -174,10 +161,9 @@ def figure_file(options: argparse.Namespace) -> Path | None:
     """Return the new file of --figure, or None without that option; raise `InputError` if it cannot be created."""
     if options.figure is None:
         return None
-    from worm_model.analysis.plot_style import check_format
-
     path = new_file(options.figure)
-    check_format(path)
+    if path.suffix.lower() not in FIGURES:
+        raise InputError(f"--figure {path}: end its name in {', '.join(FIGURES)}")
     return path
 
 
@@ -204,9 +190,7 @@ def finite(content: Any) -> Any:
         return [finite(value) for value in content]
     if isinstance(content, Profile):
         return str(content)
-    if hasattr(content, "item") and getattr(content, "ndim", 0) == 0:
-        content = content.item()  # a numpy scalar
-    if hasattr(content, "tolist"):
+    if hasattr(content, "tolist"):  # of NumPy
         return finite(content.tolist())
     if isinstance(content, float) and not math.isfinite(content):
         return None
@@ -214,42 +198,30 @@ def finite(content: Any) -> Any:
 
 
 class ProgressLine:
-    """Progress with the time left, on standard error: a bar on a terminal, otherwise a line for every 10 %."""
-
-    WIDTH = 40
+    """Progress with the time left, on standard error: one line on a terminal, otherwise a line for every 10 %."""
 
     def __init__(self, title: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self._title = title
-        self._clock = clock
+        self._title, self._clock = title, clock
         self._terminal = sys.stderr.isatty()
         self._shown = -1
         self._start: tuple[float, float] | None = None  # time in s and fraction of the first call
 
     def __call__(self, fraction: float) -> None:
         """Show that a fraction between 0 and 1 is done."""
-        if self._start is None:
-            self._start = self._clock(), fraction
+        now = self._clock()
+        begin, first = self._start = self._start or (now, fraction)
         step = int(fraction * (100 if self._terminal else 10))
         if step == self._shown:
             return
         self._shown = step
-        left = self._time_left(fraction)
-        if self._terminal:
-            bar = "#" * round(fraction * self.WIDTH)
-            end = "\n" if fraction >= 1.0 else ""
-            sys.stderr.write(f"\r{self._title} [{bar:<{self.WIDTH}}] {fraction:4.0%}{left:20}{end}")
-        else:
-            sys.stderr.write(f"{self._title}: {fraction:.0%}{left}\n")
+        line = f"{self._title}: {fraction:.0%}"
+        if first < fraction < 1.0:
+            left = (now - begin) * (1.0 - fraction) / (fraction - first)
+            line += f", {duration(left)} left"
+        is_over = fraction >= 1.0 or not self._terminal
+        # On a terminal, the next line replaces this one.
+        sys.stderr.write(f"{line}\n" if is_over else f"{line:<60}\r")
         sys.stderr.flush()
-
-    def _time_left(self, fraction: float) -> str:
-        """Return the time left at the mean speed since the first call, as text; empty while it is unknown."""
-        assert self._start is not None
-        begin, first = self._start
-        if not first < fraction < 1.0:
-            return ""
-        seconds = (self._clock() - begin) * (1.0 - fraction) / (fraction - first)
-        return f", {duration(seconds)} left"
 
 
 @contextmanager

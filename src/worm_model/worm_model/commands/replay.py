@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -40,6 +39,7 @@ from worm_model.commands.command_line import (
 from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_model.run import LengthSource, Stamps
+from worm_model.text_table import labelled, text_table
 from worm_model.twin.data.records import NANOSECONDS, RESIDUAL_FIELDS, Event
 
 if TYPE_CHECKING:
@@ -180,31 +180,35 @@ def _event_json(time: float, event: Event) -> dict[str, Any]:
 
 
 def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
-    return {
-        "number": cycle.number,
-        "start": cycle.start,
-        "grooves": cycle.grooves,
-        "measured_grooves": cycle.measured_grooves,
-        "complete": cycle.complete,
-        "not_judged": cycle.not_judged,
-        **asdict(cycle.residuals),
-    }
+    content = asdict(cycle)
+    residuals = content.pop("residuals")
+    return {**content, **residuals}
 
 
 def describe(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> str:
     """Return the report as text; for the arguments see `report_json`."""
-    lines = _total_lines(report)
+    total = report.residuals
+    whole = {
+        "x1": f"{1e3 * total.x1_rmse:.3f} mm rms, {1e3 * total.x1_residual:+.3f} mm mean",
+        "length": f"{1e3 * total.length_rmse:.3f} mm rms, {1e3 * total.length_residual:+.3f} mm mean",
+        "power": f"{total.power_rmse:.3f} W rms, {total.power_residual:+.3f} W mean",
+        "energy": f"{100 * report.energy_error:+.2f} % of the measured energy",
+    }
+    lines = [labelled(whole)]
+    if any("nan" in text for text in whole.values()):
+        lines.append("nan: not compared, because it was not recorded during a gait")
     for number, run in enumerate(report.runs, 1):
         gait = run.played.gait
+        health = run.not_judged or f"{run.health.name.lower()} at worst"
         lines.append(
             f"run {number} of {len(report.runs)}: {1e3 * gait.stroke:.1f} mm at {gait.frequency:.3f} Hz "
-            f"{'forward' if gait.direction > 0 else 'reverse'}, {_health(run)}"
+            f"{'forward' if gait.direction > 0 else 'reverse'}, {'not judged: ' if run.not_judged else ''}{health}"
         )
-        lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
         events = [event for _, event in run.events]
-        lines += [_cycle_line(cycle, events) for cycle in run.cycles]
+        rows = [_cycle_row(cycle, events) for cycle in run.cycles]
+        lines.append(text_table([_CYCLE_HEADS, *rows]))
         lines += [f"  {time:.2f} s  {event.text}" for time, event in run.events]
     if dropped:
         why = ", ".join(f"{count} {name}" for name, count in dropped.items())
@@ -213,54 +217,26 @@ def describe(
     return "\n".join(lines)
 
 
-def _total_lines(report: ReplayReport) -> list[str]:
-    """Return a line for each residual of the report, or the reason why the residual is missing."""
-    total = report.residuals
-    energy = 100 * report.energy_error
-    rows = (
-        ("x1", total.x1_rmse, "{:8.3f} mm rms, {:+.3f} mm mean", 1e3, total.x1_residual),
-        (
-            "length",
-            total.length_rmse,
-            "{:8.3f} mm rms, {:+.3f} mm mean",
-            1e3,
-            total.length_residual,
-        ),
-        ("power", total.power_rmse, "{:8.3f} W  rms, {:+.3f} W  mean", 1.0, total.power_residual),
-        ("energy", energy, "{:+8.2f} % of the measured energy", 1.0, math.nan),
-    )
-    return [
-        f"{name:6}  "
-        + (
-            text.format(scale * value, scale * mean)
-            if math.isfinite(value)
-            else f"not compared: {_SOURCES[name]} during a gait"
-        )
-        for name, value, text, scale, mean in rows
-    ]
+_CYCLE_HEADS = (
+    *("cycle", "start s", "grooves", "measured"),
+    *("x1 mm rms", "length mm rms", "power W rms", "events"),
+)
 
 
-_SOURCES = {
-    "x1": "no position of the tracker was recorded",
-    "length": "no measured length or no command was recorded",
-    "power": "no power was recorded",
-    "energy": "no power was recorded",
-}
-
-
-def _health(run: RunReport) -> str:
+def _cycle_row(cycle: CycleReport, events: Sequence[Event]) -> tuple[str, ...]:
+    rms = cycle.residuals
+    remarks = [e.code.replace("_", " ") for e in events if e.cycle == cycle.number]
+    if cycle.not_judged:
+        remarks.insert(0, f"not judged: {cycle.not_judged}")
     return (
-        f"not judged: {run.not_judged}" if run.not_judged else f"{run.health.name.lower()} at worst"
-    )
-
-
-def _cycle_line(cycle: CycleReport, events: Sequence[Event]) -> str:
-    part = cycle.residuals
-    codes = ", ".join(e.code.replace("_", " ") for e in events if e.cycle == cycle.number)
-    return (
-        f"{cycle.number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
-        f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
-        f"{f'  not judged: {cycle.not_judged}' if cycle.not_judged else ''}{f'  {codes}' if codes else ''}"
+        str(cycle.number),
+        f"{cycle.start:.2f}",
+        f"{cycle.grooves:.0f}",
+        f"{cycle.measured_grooves:.2f}",
+        f"{1e3 * rms.x1_rmse:.2f}",
+        f"{1e3 * rms.length_rmse:.2f}",
+        f"{rms.power_rmse:.2f}",
+        ", ".join(remarks),
     )
 
 

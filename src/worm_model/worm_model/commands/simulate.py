@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: simulation of a gait, as a table, a figure, an animation or a bag."""
+"""Command line: simulation of a gait, as a table, a figure or a bag."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from worm_model.commands.command_line import (
+    FIGURES,
     InputError,
     Parser,
-    ProgressLine,
     executable,
     new_file,
     print_result,
 )
 from worm_model.commands.evaluate_gait import describe, gait_json
-from worm_model.gait import AVERAGED, Gait, gait_of
+from worm_model.gait import AVERAGED, CYCLES, gait_of
 from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_msgs.conditions import conditions_of
@@ -26,13 +25,8 @@ from worm_msgs.conditions import conditions_of
 if TYPE_CHECKING:
     from worm_model.analysis.simulated_run import SimulatedRun
 
-CYCLES = 5  # number of cycles in the paper's protocol
 MOST_SAMPLES = 10_000_000  # largest number of samples in a file
 MOST_CYCLES = 1000  # largest number of cycles of a simulation
-FIGURES = (".png", ".pdf", ".svg")
-ANIMATIONS = (".gif", ".mp4")
-RATE_HZ = 100.0  # default sampling rate of tables, figures and recordings
-FRAME_RATE_HZ = 12.5  # default frame rate of an animation
 
 
 def _parser() -> Parser:
@@ -40,19 +34,15 @@ def _parser() -> Parser:
         prog="simulate",
         description="Simulate a gait from rest. The ending of --output selects the form: a table of positions, "
         "anchors, length, cable force, power and energy (.csv), a figure of positions, anchors, length, forces and "
-        "power (.png, .pdf, .svg), an animation of the robot in its pipe in real time (.gif, or .mp4 if ffmpeg is "
-        "installed), or a recording by ideal instruments, with two seconds of rest before the gait (.mcap).",
+        "power (.png, .pdf, .svg), or a recording by ideal instruments, with two seconds of rest before the gait "
+        "(.mcap).",
     )
     parser.add_gait(required=True)
     parser.add_conditions()
     parser.add_argument(
         "--cycles", type=int, default=CYCLES, metavar="N", help=f"cycles (default: {CYCLES})"
     )
-    parser.add_number(
-        "--rate",
-        "HZ",
-        f"samples a second (default: {RATE_HZ:g}), or frames a second of an animation (default: {FRAME_RATE_HZ:g})",
-    )
+    parser.add_number("--rate", "HZ", "samples a second", 100.0)
     parser.add_argument("--output", required=True, metavar="FILE", help="new file; must not exist")
     parser.add_json()
     parser.add_parameters()
@@ -75,12 +65,6 @@ def _write_figure(run: SimulatedRun, path: Path) -> None:
     save_figure(plot_simulated_run(run), path)
 
 
-def _write_animation(run: SimulatedRun, path: Path) -> None:
-    from worm_model.analysis.gait_animation import write_animation
-
-    write_animation(run, path, ProgressLine("frames"))
-
-
 def _write_recording(run: SimulatedRun, path: Path) -> None:
     """Write the recording as a single MCAP file; the topic twin/state contains anchors and forces."""
     from worm_model.bags.formats.bag_writer import new_bag
@@ -100,31 +84,11 @@ def _write_recording(run: SimulatedRun, path: Path) -> None:
         Path(folder, path.stem, f"{path.stem}_0.mcap").rename(path)
 
 
-def _writer_of(path: Path) -> Callable[[SimulatedRun, Path], None]:
-    writers = {".csv": _write_table, ".mcap": _write_recording}
-    writers |= dict.fromkeys(FIGURES, _write_figure)
-    writers |= dict.fromkeys(ANIMATIONS, _write_animation)
-    if path.suffix.lower() not in writers:
-        raise InputError(f"--output {path}: end its name in {', '.join(writers)}")
-    return writers[path.suffix.lower()]
-
-
-def _checked_rate(options: argparse.Namespace, gait: Gait, output: Path) -> float:
-    """Return the sampling rate in Hz; raise `InputError` if the number of samples or frames is out of range."""
-    animated = output.suffix.lower() in ANIMATIONS
-    rate: float = options.rate
-    if rate is None:
-        rate = FRAME_RATE_HZ if animated else RATE_HZ
-    samples = options.cycles * gait.period * rate
-    if not 1.0 <= samples <= MOST_SAMPLES:
-        raise InputError(
-            f"--rate {rate:g}: {samples:.0f} samples; a file may have 1 to {MOST_SAMPLES}. Change --rate or --cycles"
-        )
-    if animated:
-        from worm_model.analysis.gait_animation import check_animation
-
-        check_animation(output, rate, samples)
-    return rate
+WRITERS = {
+    ".csv": _write_table,
+    ".mcap": _write_recording,
+    **dict.fromkeys(FIGURES, _write_figure),
+}
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -132,14 +96,21 @@ def _run(options: argparse.Namespace) -> None:
     if not 1 <= options.cycles <= MOST_CYCLES:
         raise InputError(f"--cycles {options.cycles}: 1 to {MOST_CYCLES} can be simulated")
     output = new_file(options.output)
-    write = _writer_of(output)
-    rate = _checked_rate(options, gait, output)
+    write = WRITERS.get(output.suffix.lower())
+    if write is None:
+        raise InputError(f"--output {output}: end its name in {', '.join(WRITERS)}")
+    samples = options.cycles * gait.period * options.rate
+    if not 1.0 <= samples <= MOST_SAMPLES:
+        raise InputError(
+            f"--rate {options.rate:g}: {samples:.0f} samples; a file may have 1 to {MOST_SAMPLES}. "
+            "Change --rate or --cycles"
+        )
     conditions = conditions_of(options)
     parameters = under(conditions, load_parameters(options.parameters))
     from worm_model.analysis.simulated_run import simulated_run
     from worm_model.simulation.simulator import evaluate_gait
 
-    run = simulated_run(gait, parameters, options.cycles, rate)
+    run = simulated_run(gait, parameters, options.cycles, options.rate)
     figures = evaluate_gait(gait, parameters, options.cycles, min(AVERAGED, options.cycles))
     write(run, output)
     content = {

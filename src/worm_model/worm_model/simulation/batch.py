@@ -57,17 +57,24 @@ def branch_of(table: GaitTable) -> NDArray[np.int64]:
     return np.floor(np.maximum(advance, 0.0) + _TRANSIENT).astype(np.int64)
 
 
-def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
-    """Return the gaits as rows (n,) of GAIT_ROW. Raises the errors of `evaluate_gaits`."""
+def _gait_rows(fields: Mapping[str, ArrayLike], *others: ArrayLike) -> tuple[Rows, tuple[int, ...]]:
+    """Return the gaits as rows (n,) of GAIT_ROW, and the shape to which their fields and ``others`` are broadcast.
+
+    A missing field has the default of `Gait`. Raises the errors of `evaluate_gaits`.
+    """
     names = GAIT_ROW.names or ()
+    unknown = sorted(set(fields) - set(names))
+    if unknown:
+        raise GaitError(f"{unknown[0]}: no field of a gait; there are {', '.join(names)}")
+    columns = {name: np.asarray(each, float) for name, each in {**GAIT_DEFAULTS, **fields}.items()}
+    shape = np.broadcast_shapes(*map(np.shape, [*columns.values(), *others]))
     rows = np.empty(math.prod(shape), GAIT_ROW)
-    grid = rows.reshape(shape)
     for name in names:
-        grid[name] = fields[name]
+        rows.reshape(shape)[name] = columns[name]
     if not len(rows):
-        return rows
-    columns = rows.view(float).reshape(len(rows), len(names))
-    extremes = columns.min(axis=0), columns.max(axis=0)  # NaN if a column contains NaN
+        return rows, shape
+    values = rows.view(float).reshape(len(rows), len(names))
+    extremes = values.min(axis=0), values.max(axis=0)  # NaN if a column contains NaN
     if not np.all(np.isfinite(extremes)):
         raise ValueError(f"gaits: every {', '.join(names)} must be finite")
     if np.any(np.abs(rows["direction"]) != 1.0):
@@ -77,7 +84,7 @@ def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
     # The limits of a column do not depend on other columns, so it is sufficient to check the extremes of each column.
     for extreme in extremes:
         Gait(**dict(zip(names, extreme.tolist(), strict=True)))
-    return rows
+    return rows, shape
 
 
 def _parameter_rows(
@@ -163,42 +170,18 @@ def evaluate_gaits(
     check_cycles(cycles, averaged)
     overrides = overrides or {}
     gaits = {"stroke": stroke, "frequency": frequency, "direction": direction, "margin": margin}
-    columns = _columns({**GAIT_DEFAULTS, **gaits, **further})
-    shape = np.broadcast_shapes(*map(np.shape, [*columns.values(), *overrides.values()]))
-    rows = _gait_rows(columns, shape)
+    rows, shape = _gait_rows({**gaits, **further}, *overrides.values())
     parameters_of_rows = _parameter_rows(parameters, overrides, shape)
     if "initial_length" not in overrides:
         check_bodies(rows["stroke"] + rows["pretension"], parameters.initial_length)
     results = np.empty((len(rows), run.RESULT_COLUMNS))
-    _evaluate_rows(rows, parameters_of_rows, cycles, averaged, results, progress)
-    return _table(rows, parameters_of_rows, results, shape)
-
-
-def _columns(fields: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    unknown = sorted(set(fields) - set(GAIT_ROW.names or ()))
-    if unknown:
-        raise GaitError(
-            f"{unknown[0]}: no field of a gait; there are {', '.join(GAIT_ROW.names or ())}"
-        )
-    return {name: np.asarray(values, dtype=float) for name, values in fields.items()}
-
-
-def _evaluate_rows(
-    rows: Rows,
-    parameters_of_rows: Rows,
-    cycles: int,
-    averaged: int,
-    results: Array,
-    progress: Callable[[float], None] | None,
-) -> None:
-    """Fill ``results`` (n, RESULT_COLUMNS), one row for each row of gaits."""
-    shared = len(parameters_of_rows) == 1
 
     def work(part: slice) -> None:
-        own = parameters_of_rows if shared else parameters_of_rows[part]
+        own = parameters_of_rows if len(parameters_of_rows) == 1 else parameters_of_rows[part]
         run.evaluate_many(rows[part], own, cycles, averaged, results[part])
 
     _on_all_cores(work, len(rows), progress)
+    return _table(rows, parameters_of_rows, results, shape)
 
 
 def _on_all_cores(
@@ -256,8 +239,7 @@ def sample_cycle(
         further: as in `evaluate_gaits`.
     """
     gaits = {"stroke": stroke, "frequency": frequency, "direction": direction}
-    columns = _columns({**GAIT_DEFAULTS, **gaits, **further})
-    rows = _gait_rows(columns, np.broadcast_shapes((1,), *map(np.shape, columns.values())))
+    rows, _ = _gait_rows({**gaits, **further}, np.empty(1))
     row, given = parameter_rows(parameters)[0], np.asarray(phases, dtype=float)
     shares = np.broadcast_to(given, (len(rows), given.shape[-1])).copy()
     force, length_rate = np.empty((2, *shares.shape))

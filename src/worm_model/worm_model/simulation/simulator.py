@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from worm_model.errors import InputError
 from worm_model.gait import AVERAGED, CYCLES, FORWARD, Gait, check_body
 from worm_model.parameters import PAPER, Parameters
+from worm_model.simulation.actuation import actuator
 from worm_model.simulation.closed_form import front_groove, groove_phase, largest_static_load
 from worm_model.simulation.kernel import guard, march
 from worm_model.simulation.kernel import whole_run as run
@@ -28,7 +29,14 @@ from worm_msgs.robot_parameters import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-_NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
+
+def _records(times: Array, events: int = 0) -> march.Records:
+    """Return records for samples at times (n,) in s and for a number of events."""
+    samples = np.empty((times.size, march.SAMPLE_COLUMNS))
+    samples[:, march.TIME] = times
+    return march.Records(
+        np.zeros(march.TOTALS_SIZE), samples, np.empty((events, march.EVENT_COLUMNS))
+    )
 
 
 class SimulationError(RuntimeError):
@@ -223,24 +231,19 @@ class Trajectory:
         Raises:
             ValueError: The times do not ascend, or lie outside of the run.
         """
-        time = _ascending(times, 0.0, self.duration)
-        samples = np.empty((time.size, march.SAMPLE_COLUMNS))
-        samples[:, march.TIME] = time
-        self._run(samples, _NO_ROWS)
-        return _motions(samples, self.parameters)
+        records = self._run(_records(_ascending(times, 0.0, self.duration)))
+        return _motions(records.samples, self.parameters)
 
     def events(self) -> list[Event]:
         """Return all events in order."""
-        rows = np.empty((int(self._run(_NO_ROWS, _NO_ROWS)[march.EVENTS]), march.EVENT_COLUMNS))
-        self._run(_NO_ROWS, rows)
-        return _events(rows)
+        count = self._run(_records(np.empty(0))).totals[march.EVENTS]
+        return _events(self._run(_records(np.empty(0), int(count))).events)
 
-    def _run(self, samples: Array, events: Array) -> Array:
-        totals = np.zeros(march.TOTALS_SIZE)
+    def _run(self, records: march.Records) -> march.Records:
         gait, parameters = gait_rows(self.gait)[0], parameter_rows(self.parameters)[0]
-        run.run_gait(gait, parameters, self.cycles, totals, samples, events)
-        _check(totals[march.FAILURE], self.gait, self.parameters)
-        return totals
+        run.run_gait(gait, parameters, self.cycles, records)
+        _check(records.totals[march.FAILURE], self.gait, self.parameters)
+        return records
 
 
 def _ascending(times: ArrayLike, first: float, last: float) -> Array:
@@ -275,20 +278,20 @@ def play_gait(
         ValueError: The times do not ascend from 0 on.
         SimulationError: A fin chatters.
     """
-    samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
-    samples[:, march.TIME] = _ascending(times, 0.0, math.inf)
-    totals = np.zeros(march.TOTALS_SIZE)
-    run.play_on(
+    time = _ascending(times, 0.0, math.inf)
+    records = _records(time)
+    run.play(
+        0.0,
+        float(time[-1]),
         gait_rows(gait)[0],
-        parameter_rows(parameters)[0],
-        _constants_of(parameters, gait.direction, 0.0),
         start.length_change,
         _motion_of(start),
-        totals,
-        samples,
+        _constants_of(parameters, gait.direction, 0.0),
+        actuator(parameters),
+        records,
     )
-    _check(totals[march.FAILURE], gait, parameters)
-    return _motions(samples, parameters)
+    _check(records.totals[march.FAILURE], gait, parameters)
+    return _motions(records.samples, parameters)
 
 
 def _motion_of(state: LocomotionState) -> Motion:
@@ -411,7 +414,7 @@ class Locomotion:
         """
         time = np.atleast_1d(np.asarray(times, dtype=float))
         if not time.size and not np.size(length_changes):
-            return state, _motions(_NO_ROWS, self.parameters)
+            return state, _motions(_records(time).samples, self.parameters)
         values = np.concatenate([[state.length_change], np.atleast_1d(length_changes)])
         breaks = np.concatenate([[state.time], time])
         step = np.diff(breaks)
@@ -443,22 +446,18 @@ class Locomotion:
             raise ValueError(f"breaks: {knots.size} value(s), but a piece has two borders")
         if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(forms))):
             raise ValueError("times and lengths must be finite: exclude missing samples")
-        samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
-        samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
-        totals = np.zeros(march.TOTALS_SIZE)
-        after = run.run_sampled(
-            knots, forms, _motion_of(state), self._constants(), None, totals, samples, _NO_ROWS
-        )
-        _check(totals[march.FAILURE], f"after {state.time:g} s", self.parameters)
+        records = _records(_ascending(times, knots[0], knots[-1]))
+        after = run.run_sampled(knots, forms, _motion_of(state), self._constants(), None, records)
+        _check(records.totals[march.FAILURE], f"after {state.time:g} s", self.parameters)
         last = knots[-1] - knots[-2]
         final = LocomotionState(
             float(knots[-1]),
             float(np.polynomial.polynomial.polyval(last, forms[:, -1])),
             *(after.y, after.rate),
             *(after.rear_groove, after.front_groove, after.rear_region, after.front_region),
-            state.switches + int(totals[march.SWITCHES]),
+            state.switches + int(records.totals[march.SWITCHES]),
         )
-        return final, _motions(samples, self.parameters)
+        return final, _motions(records.samples, self.parameters)
 
     def _constants(self) -> Constants:
         return _constants_of(self.parameters, self.direction, self.margin)

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Side view of the robot in its pipe as SVG, with the shapes and colours of `worm_model.analysis.robot_drawing`.
+"""Side view of the robot in its pipe as SVG.
 
-Lengths along the pipe are to scale. Fins bend to the grooves in which the twin computes them.
+Lengths along the pipe are to scale. The model contains no heights, so the radii of pipe and robot are arbitrary. Fins
+bend to the grooves in which the twin computes them.
 """
 
 from __future__ import annotations
 
 import math
 
-from worm_model.analysis import robot_drawing as drawing
 from worm_model.parameters import Parameters
 from worm_model.twin.data.records import StateRecord
 from worm_model.twin.scene import HOLDING, YIELDING, PositionSample, engagement
 
+# Radii and widths of the drawing, mm.
+RIDGE_RADIUS, GROOVE_RADIUS, WALL_RADIUS = 38.0, 46.0, 51.0
+MODULE_RADIUS, MODULE_WIDTH = 20.0, 30.0
+BELLOWS_RADIUS, FOLD_DEPTH, FOLDS = 13.0, 4.0, 13
 _BESIDE = 120.0  # length of the pipe that is shown behind and ahead of the robot, mm
 _WALL = 600.0  # length of the drawn wall behind and ahead of the robot, mm: a wide page shows more than the view box
 _VIEW_STEP = 50.0  # mm; the view follows the robot in steps, so that the drawn pipe does not move all the time
@@ -64,7 +68,7 @@ def _doing(deflection: float, parameters: Parameters, direction: int) -> str:
 
 
 def _svg(left: float, width: float, content: str, words: str) -> str:
-    top, bottom = -drawing.WALL_RADIUS - 2.0, drawing.WALL_RADIUS + 16.0
+    top, bottom = -WALL_RADIUS - 2.0, WALL_RADIUS + 16.0
     bar = f'<path class="scale" d="M{left + 8.0:.1f} {bottom - 7.0:.1f}h100"/>'
     bar += f'<text x="{left + 114.0:.1f}" y="{bottom - 3.0:.1f}">100 mm</text>'
     return (
@@ -82,28 +86,28 @@ def _pipe(groove: float, middle: float, pitch: float) -> str:
     """Return both walls around ``middle``, with one of their grooves at ``groove``; all in mm."""
     first = groove + (math.floor((middle - _WALL - groove) / pitch) - 0.25) * pitch
     count = 2 * math.ceil(2.0 * _WALL / pitch)
-    inner = 0.5 * (drawing.GROOVE_RADIUS + drawing.RIDGE_RADIUS)
-    depth = 0.5 * (drawing.GROOVE_RADIUS - drawing.RIDGE_RADIUS)
+    inner = 0.5 * (GROOVE_RADIUS + RIDGE_RADIUS)
+    depth = 0.5 * (GROOVE_RADIUS - RIDGE_RADIUS)
     return "".join(
         f'<path class="pipe" d="M{first:.2f} {side * inner:.1f}{_wave(0.5 * pitch, side * depth, count)}'
-        f'V{side * drawing.WALL_RADIUS:.1f}H{first:.2f}z"/>'
+        f'V{side * WALL_RADIUS:.1f}H{first:.2f}z"/>'
         for side in (-1.0, 1.0)
     )
 
 
 def _body(kind: str, rear: float, front: float) -> str:
     """Return modules, bellows and cable between positions in mm."""
-    half, radius, depth = 0.5 * drawing.MODULE_WIDTH, drawing.BELLOWS_RADIUS, drawing.FOLD_DEPTH
+    half, radius, depth = 0.5 * MODULE_WIDTH, BELLOWS_RADIUS, FOLD_DEPTH
     left, right = rear + half, max(front - half, rear + half + 1.0)
-    count = 2 * drawing.FOLDS
+    count = 2 * FOLDS
     fold = (right - left) / count
     outline = (
         f"M{left:.2f} {-radius:.1f}{_wave(fold, -depth, count)}"
         f"V{radius:.1f}{_wave(-fold, -depth, count)}z"
     )
     modules = "".join(
-        f'<rect class="{kind} module" x="{place - half:.2f}" y="{-drawing.MODULE_RADIUS:.1f}" rx="5" '
-        f'width="{drawing.MODULE_WIDTH:.1f}" height="{2.0 * drawing.MODULE_RADIUS:.1f}"/>'
+        f'<rect class="{kind} module" x="{place - half:.2f}" y="{-MODULE_RADIUS:.1f}" rx="5" '
+        f'width="{MODULE_WIDTH:.1f}" height="{2.0 * MODULE_RADIUS:.1f}"/>'
         for place in (rear, front)
     )
     cable = f'<path class="{kind} cable" d="M{left:.2f} 0H{right:.2f}"/>'
@@ -113,15 +117,15 @@ def _body(kind: str, rear: float, front: float) -> str:
 def _fins(kind: str, root: float, groove: float) -> str:
     """Return both fins of a module, which bend from ``root`` to ``groove`` (mm), and the marks of their anchor.
 
-    The quadratic curve is the line of `robot_drawing`: straight at the module, bent at the groove.
+    A fin leaves its module straight and bends to its groove.
     """
-    low, high = drawing.MODULE_RADIUS, drawing.GROOVE_RADIUS - 2.0
+    low, high = MODULE_RADIUS, GROOVE_RADIUS - 2.0
     parts = []
     for side in (-1.0, 1.0):
         middle = side * 0.5 * (low + high)
         parts.append(
             f'<path class="fin {kind}" d="M{root:.2f} {side * low:.1f}'
             f'Q{root:.2f} {middle:.1f} {groove:.2f} {side * high:.1f}"/>'
-            f'<path class="anchor" d="M{groove:.2f} {side * drawing.WALL_RADIUS - 2.5:.1f}l2 2.5-2 2.5-2-2.5z"/>'
+            f'<path class="anchor" d="M{groove:.2f} {side * WALL_RADIUS - 2.5:.1f}l2 2.5-2 2.5-2-2.5z"/>'
         )
     return "".join(parts)

@@ -98,28 +98,28 @@ def test_a_recording_that_ends_before_the_gait_names_its_complete_cycles(cycles,
     assert f"{whole} of 3 cycles" in run_metrics.early_end(early, played)
 
 
-def test_runs_are_distinguished_by_their_number_however_their_onsets_lie():
-    near = [EPOCH, EPOCH + 1, EPOCH + 2, EPOCH + 3]
-    numbered = gait_states([RUNNING] * 4, near, 5, run=np.array([1, 1, 2, 2]))
-    assert [rows.tolist() for rows in numbered.rows_of_runs()] == [[0, 1], [2, 3]]
-    stepped = [EPOCH, EPOCH + 10**9, EPOCH + 10**9, EPOCH + 10**9]
-    one = gait_states([RUNNING] * 4, stepped, 5, run=np.full(4, 7))
-    assert [rows.tolist() for rows in one.rows_of_runs()] == [[0, 1, 2, 3]]
+NEAR = [EPOCH, EPOCH + 1, EPOCH + 2, EPOCH + 3]
+STEPPED = [EPOCH, EPOCH + 10**9, EPOCH + 10**9, EPOCH + 10**9]
 
 
-def test_a_restarted_driver_counts_from_one_again():
-    states = gait_states(
-        [RUNNING] * 4, [EPOCH] * 4, 5, run=np.ones(4, np.int64), cycle=np.array([1, 2, 1, 2])
-    )
-    assert [rows.tolist() for rows in states.rows_of_runs()] == [[0, 1], [2, 3]]
-
-
-def test_without_numbers_onsets_distinguish_runs():
-    onsets = [EPOCH, EPOCH + 60_000_000, EPOCH + 60 * 10**9]
-    states = gait_states([RUNNING] * 3, onsets, 5)
-    assert not states.run.any()
-    assert [rows.tolist() for rows in states.rows_of_runs()] == [[0, 1], [2]]
-    assert GaitStates().rows_of_runs() == []
+@pytest.mark.parametrize(
+    ("onsets", "numbers", "cycles", "runs"),
+    [
+        pytest.param(NEAR, [1, 1, 2, 2], [0, 1, 2, 3], [[0, 1], [2, 3]], id="numbers decide"),
+        pytest.param(STEPPED, [7, 7, 7, 7], [0, 1, 2, 3], [[0, 1, 2, 3]], id="not the onsets"),
+        pytest.param(NEAR, [1, 1, 1, 1], [1, 2, 1, 2], [[0, 1], [2, 3]], id="restarted driver"),
+        pytest.param(
+            [EPOCH, EPOCH + 60_000_000, EPOCH + 60 * 10**9, EPOCH + 60 * 10**9],
+            [0, 0, 0, 0],
+            [0, 1, 2, 3],
+            [[0, 1], [2, 3]],
+            id="onsets without numbers",
+        ),
+    ],
+)
+def test_runs_are_distinguished(onsets, numbers, cycles, runs):
+    states = gait_states([RUNNING] * 4, onsets, 5, run=np.array(numbers), cycle=np.array(cycles))
+    assert [rows.tolist() for rows in states.rows_of_runs()] == runs
 
 
 def performance(

@@ -6,7 +6,7 @@ from worm_model.commands.command_line import ProgressLine, elapsed
 
 
 def test_progress_shows_the_time_left_at_the_mean_speed(capsys):
-    times = iter((100.0, 130.0, 160.0))
+    times = iter((100.0, 130.0, 160.0, 200.0))
     line = ProgressLine("study", lambda: next(times))
     for fraction in (0.2, 0.35, 0.6, 1.0):
         line(fraction)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines evaluate_gait and phase_map, as scripts use them."""
+"""The command line evaluate_gait, as scripts use it."""
 
 import csv
 import json
@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from worm_model.commands import evaluate_gait as command
-from worm_model.commands import phase_map
 from worm_model.gait import Gait, Profile
 from worm_model.loads import under
 from worm_model.parameters import PAPER
@@ -33,60 +32,57 @@ def test_json_is_one_object_with_the_contracts_keys(run) -> None:
     assert gait["groove_phase"] == pytest.approx(0.0011)
 
 
-def test_results_that_rounding_decides_are_named(run, tmp_path) -> None:
-    low, high = 0.07, 0.0755  # one and two grooves per cycle; between them lies an edge
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (
-            (low, middle) if evaluate_gait(Gait(middle, 0.15)).min_grooves > 1.5 else (middle, high)
-        )
-    at_edge = "--stroke", repr(high), "--frequency", "0.15"
-    assert "1.000 to 2.000 grooves per cycle" in run(command, *at_edge)[1]
-    (decided,) = json.loads(run(command, *at_edge, "--json")[1])["decided_by_rounding"]
-    assert "grooves" in decided
-    clear = "--stroke", "0.0755", "--frequency", "0.15"
-    assert json.loads(run(command, *clear, "--json")[1])["decided_by_rounding"] == []
-    (tmp_path / "stiff.yaml").write_text(
-        "rear_mass: 2.9162\nfront_mass: 0.059622\nviscous_friction: 20769\ntime_constant: 10\n"
-    )
-    beyond = (
-        "--stroke 0.095884 --frequency 2.0557 --pretension 0.0077588 --profile trapezoid".split()
-    )
-    shape = "--contraction-share", "0.012671", "--ramp-share", "0.4991"
-    file = "--parameters", str(tmp_path / "stiff.yaml")
-    found = json.loads(run(command, *beyond, *shape, *file, "--json")[1])
-    assert any(" W" in text for text in found["decided_by_rounding"])
-    assert found["power"] >= 0.82
-
-
-def test_table_has_the_references_columns_and_further_parameters(run, tmp_path: Path) -> None:
-    source, target = tmp_path / "in.csv", tmp_path / "out.csv"
-    source.write_text(
-        "stroke_m,frequency_Hz,margin_m,L0_m,direction,viscous_friction\n"
-        "0.07,0.2,0,0.2952,1,86.97\n0.0755,0.15,0.0034,0.2952,-1,95\n"
-    )
-    status, _, _ = run(command, "--gaits", str(source), "--output", str(target))
+def evaluated(run, source: Path, target: Path) -> tuple[dict, list[dict[str, str]]]:
+    """Return the report on a table of gaits, and the rows of the written table."""
+    status, out, _ = run(command, "--gaits", str(source), "--output", str(target), "--json")
     assert status == 0
     with target.open() as file:
-        rows = list(csv.DictReader(file))
-    expected = evaluate_gait(Gait(0.0755, 0.15, -1, 0.0034), PAPER.replace(viscous_friction=95.0))
-    assert float(rows[1]["speed_m_s"]) == pytest.approx(expected.speed, rel=1e-12)
-    assert float(rows[1]["power_W"]) == pytest.approx(expected.power, rel=1e-9)
-    assert int(rows[1]["switches_5_cycles"]) == expected.switches
-    assert float(rows[1]["viscous_friction"]) == 95.0
-    again, _, err = run(command, "--gaits", str(source), "--output", str(target))
-    assert again == 2
-    assert "out.csv: exists" in err
+        return json.loads(out), list(csv.DictReader(file))
 
 
-def test_reference_table_comes_back_with_its_columns(run, shared: Path, tmp_path: Path) -> None:
-    target = tmp_path / "out.csv"
+def test_reference_table_comes_back(run, shared: Path, tmp_path: Path) -> None:
     source = shared / "reference" / "gaits.csv"
-    assert run(command, "--gaits", str(source), "--output", str(target))[0] == 0
+    _, rows = evaluated(run, source, tmp_path / "out.csv")
     with source.open() as file:
-        columns = next(csv.reader(file))
-    with target.open() as file:
-        assert next(csv.reader(file))[: len(columns)] == columns
+        expected = list(csv.DictReader(file))
+    assert len(rows) == len(expected) == 16
+    for row, reference in zip(rows, expected, strict=True):
+        assert list(row)[: len(reference)] == list(reference)
+        for name, rel, least in (
+            ("speed_m_s", 1e-9, 1e-10),
+            ("power_W", 1e-6, 0.0),
+            ("switches_5_cycles", 0.0, 0.0),
+            ("grooves_per_cycle", 0.0, 1e-6),
+        ):
+            assert float(row[name]) == pytest.approx(float(reference[name]), rel=rel, abs=least)
+
+
+def test_a_table_has_parameters_loads_and_waveforms(run, tmp_path: Path) -> None:
+    source, target = tmp_path / "in.csv", tmp_path / "out.csv"
+    source.write_text(
+        "stroke_m,frequency_Hz,margin_m,L0_m,direction,viscous_friction,rear_load,front_load,"
+        "pretension_m,contraction_share,profile,ramp_share\n"
+        "0.0755,0.15,0.0034,0.2952,-1,95,0,0,0,0.5,cosine,0.25\n"
+        "0.06,0.2,0,0.2952,1,86.97,1,0.5,0.01,0.6,trapezoid,0.2\n"
+        "0.07,0.2,0,0.2952,1,86.97,60,0,0,0.5,cosine,0.25\n"
+    )
+    report, rows = evaluated(run, source, target)
+    assert report["without_figures"] == [4]
+    assert [row["profile"] for row in rows] == ["cosine", "trapezoid", "cosine"]
+    assert [float(row["viscous_friction"]) for row in rows] == [95.0, 86.97, 86.97]
+    cases = (
+        (Gait(0.0755, 0.15, -1, 0.0034), {"viscous_friction": 95.0}),
+        (
+            Gait(0.06, 0.2, 1, 0.0, 0.01, 0.6, Profile.TRAPEZOID, 0.2),
+            {"rear_load": 1.0, "front_load": 0.5},
+        ),
+    )
+    for row, (gait, changes) in zip(rows, cases, strict=False):
+        expected = evaluate_gait(gait, PAPER.replace(**changes))
+        assert float(row["speed_m_s"]) == pytest.approx(expected.speed, rel=1e-12)
+        assert float(row["power_W"]) == pytest.approx(expected.power, rel=1e-8)
+        assert int(row["switches_5_cycles"]) == expected.switches
+    assert rows[2]["speed_m_s"] == rows[2]["power_W"] == "nan"
 
 
 @pytest.mark.parametrize(
@@ -112,24 +108,6 @@ def test_bad_tables_name_the_place(run, tmp_path: Path, text: str, message: str)
     assert not output.exists()
 
 
-def test_phase_map_counts_grooves_and_draws(run, tmp_path: Path) -> None:
-    figure = tmp_path / "map.png"
-    status, out, _ = run(
-        phase_map, "--points", "12", "--frequency", "0.15", "--figure", str(figure), "--json"
-    )
-    content = json.loads(out)
-    assert status == 0
-    assert figure.stat().st_size > 10_000
-    grooves, phases = content["grooves_per_cycle"], content["groove_phases"]
-    assert len(grooves) == len(phases) == 12
-    assert phases[-1] == pytest.approx(0.5 * PAPER.pitch)
-    assert phases[0] > -0.5 * PAPER.pitch
-    length = 17 * PAPER.pitch + phases[7]
-    gait = Gait(content["stroke"][10], 0.15)
-    expected = evaluate_gait(gait, PAPER.replace(initial_length=length)).grooves_per_cycle
-    assert grooves[7][10] == round(expected)
-
-
 WAVEFORM = "--pretension 0.0115 --contraction-share 0.6 --profile trapezoid --ramp-share 0.1"
 
 
@@ -149,22 +127,3 @@ def test_conditions_and_waveform_are_options(run) -> None:
     )
     assert gait["power"] == expected.power
     assert gait["speed"] == expected.speed
-
-
-def test_a_table_has_loads_and_waveforms(run, tmp_path: Path) -> None:
-    source, output = tmp_path / "in.csv", tmp_path / "out.csv"
-    source.write_text(
-        "stroke_m,frequency_Hz,rear_load,front_load,pretension_m,contraction_share,profile,ramp_share\n"
-        "0.06,0.2,1,0.5,0.01,0.6,trapezoid,0.2\n0.07,0.2,0,0,0,0.5,cosine,0.25\n0.07,0.2,60,0,0,0.5,cosine,0.25\n"
-    )
-    status, out, _ = run(command, "--gaits", str(source), "--output", str(output), "--json")
-    assert status == 0
-    assert json.loads(out)["without_figures"] == [4]
-    with output.open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["profile"] for row in rows] == ["trapezoid", "cosine", "cosine"]
-    first = Gait(0.06, 0.2, 1, 0.0, 0.01, 0.6, Profile.TRAPEZOID, 0.2)
-    expected = evaluate_gait(first, PAPER.replace(rear_load=1.0, front_load=0.5))
-    assert float(rows[0]["power_W"]) == pytest.approx(expected.power, rel=1e-8)
-    assert float(rows[1]["power_W"]) == pytest.approx(evaluate_gait(Gait(0.07, 0.2)).power)
-    assert rows[2]["speed_m_s"] == rows[2]["power_W"] == "nan"

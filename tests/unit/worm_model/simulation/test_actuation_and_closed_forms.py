@@ -49,23 +49,6 @@ def test_step_and_ramp_of_a_sampled_command_have_their_closed_form() -> None:
     assert ramp == pytest.approx(offset + rate * times - lag + (lag - offset) * decay)
 
 
-def test_a_ramp_through_the_slack_is_the_same_in_one_step_or_in_many() -> None:
-    fine = np.linspace(0.0, 1.0, 1001)
-    stepped = actuation.length_change_of_command(fine, -0.02 * fine, PAPER)
-    whole = actuation.length_change_of_command([0.0, 1.0], [0.0, -0.02], PAPER, at=fine)
-    assert whole == pytest.approx(stepped, abs=1e-15)
-    opening = PAPER.slack / 0.02  # s, at which the command leaves the slack
-    before = fine < opening
-    decay = np.exp(-fine / PAPER.time_constant)
-    rest = -PAPER.gain * PAPER.slack
-    assert whole[before] == pytest.approx(rest * (1.0 - decay[before]), abs=1e-15)
-    at_opening = rest * (1.0 - np.exp(-opening / PAPER.time_constant))
-    later, slope = fine[~before] - opening, -0.02 * PAPER.gain
-    behind = rest - slope * PAPER.time_constant
-    expected = behind + slope * later + (at_opening - behind) * np.exp(-later / PAPER.time_constant)
-    assert whole[~before] == pytest.approx(expected, abs=1e-15)
-
-
 @examples(30)
 @given(
     st.lists(st.tuples(st.floats(0.001, 1.0), st.floats(-0.09, 0.0)), min_size=2, max_size=12),

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples, random_case
 
-from worm_model.gait import FORWARD, REVERSE, Gait, GaitError, Profile
+from worm_model.gait import FORWARD, REVERSE, Gait, Profile
 from worm_model.loads import under
 from worm_model.parameters import PAPER
 from worm_model.simulation.actuation import length_change_range
@@ -37,23 +37,6 @@ WAVEFORMS = st.builds(
 )
 
 
-@examples(20)
-@given(WAVEFORMS)
-def test_the_length_follows_the_command(gait: Gait) -> None:
-    """ΔL is the response of the lag to the effective command, integrated in small steps."""
-    cycles, steps = 2, 20_000
-    times = np.linspace(0.0, cycles * gait.period, steps + 1)
-    target = PAPER.gain * np.minimum(gait.command(times), -PAPER.slack)
-    decay = np.exp(-(times[1] - times[0]) / PAPER.time_constant)
-    change = np.empty(steps + 1)
-    change[0] = target[0] if gait.pretension else 0.0
-    for k in range(steps):
-        middle = 0.5 * (target[k] + target[k + 1])
-        change[k + 1] = middle + (change[k] - middle) * decay
-    run = simulate(gait, PAPER, cycles).at(times)
-    assert run.length - PAPER.initial_length == pytest.approx(change, abs=2e-6)
-
-
 @examples(15)
 @given(WAVEFORMS)
 def test_the_range_of_any_waveform_is_that_of_the_periodic_state(gait: Gait) -> None:
@@ -65,12 +48,6 @@ def test_the_range_of_any_waveform_is_that_of_the_periodic_state(gait: Gait) -> 
     assert highest == pytest.approx(change.max(), abs=1e-7)
 
 
-def test_a_slow_gait_with_pretension_has_the_range_of_its_command() -> None:
-    gait = Gait(0.05, 0.001, pretension=0.02)
-    expected = -PAPER.gain * gait.reach, -PAPER.gain * gait.pretension
-    assert length_change_range(gait, PAPER) == pytest.approx(expected, abs=1e-5)
-
-
 @pytest.mark.parametrize("seed", range(21))
 def test_equal_halves_of_a_cosine_are_the_papers_gait(seed: int) -> None:
     """Halves that differ by rounding alone are computed as two, with the results of one sinusoid."""
@@ -79,18 +56,6 @@ def test_equal_halves_of_a_cosine_are_the_papers_gait(seed: int) -> None:
     one, other = (evaluate_gait(g, parameters) for g in (gait, split))
     assert other.grooves_per_cycle == pytest.approx(one.grooves_per_cycle, abs=1e-8)
     assert other.power == pytest.approx(one.power, rel=1e-8)
-
-
-def test_a_loaded_run_starts_in_the_equilibrium() -> None:
-    parameters = PAPER.replace(rear_load=3.0, front_load=4.0)
-    start = simulate(CRUISE, parameters).at([0.0])
-    assert start.rear_force[0] + start.front_force[0] == pytest.approx(-7.0, abs=1e-9)
-    assert start.v1[0] == 0.0
-    tense = dataclasses.replace(CRUISE, stroke=0.05, pretension=0.02)
-    start = simulate(tense, parameters).at([0.0])
-    change = start.length[0] - parameters.initial_length
-    assert change == pytest.approx(-parameters.gain * 0.02)
-    assert start.rear_force[0] + start.front_force[0] == pytest.approx(-7.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("direction", [FORWARD, REVERSE])
@@ -108,18 +73,6 @@ def test_a_load_that_the_fins_do_not_hold_is_reported(direction: int, side: int)
     table = evaluate_gaits(gait.stroke, gait.frequency, 0.0, direction, parameters=beyond)
     assert np.isnan(table.speed)
     assert np.isnan(table.power)
-
-
-def test_the_papers_cruise_on_slopes() -> None:
-    """The table at the start of the issue on loads: an independent integration of the model on slopes."""
-
-    def grooves(slope: float, margin: float = 0.0) -> float:
-        gait = dataclasses.replace(CRUISE, margin=margin)
-        return evaluate_gait(gait, under(Conditions(slope_deg=slope), PAPER)).grooves_per_cycle
-
-    assert [round(grooves(slope)) for slope in (0, 15, 30, 45, 60, 90)] == [2, 2, 2, 2, 2, 0]
-    assert round(grooves(15, 0.0025)) == 0
-    assert [round(grooves(30, margin)) for margin in (0.001, 0.002)] == [2, 0]
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -188,10 +141,3 @@ def test_conditions_are_loads_and_friction() -> None:
     along = under(Conditions(flow_m_per_s=-0.5, drag_area_m2=1e-3), PAPER)
     assert along.rear_load == -flow.rear_load
     assert along.viscous_friction == flow.viscous_friction
-
-
-def test_a_contraction_with_its_pretension_must_fit_the_body() -> None:
-    with pytest.raises(GaitError, match=r"0\.31 m"):
-        evaluate_gait(Gait(0.25, 0.1, pretension=0.06))
-    with pytest.raises(GaitError, match=r"0\.31 m"):
-        evaluate_gaits(0.25, 0.1, pretension=0.06)

@@ -3,7 +3,6 @@
 
 import dataclasses
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,12 +10,10 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 from random_cases import examples, random_case
 
-from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterError, Parameters
-from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import (
     Locomotion,
-    Motions,
     SimulationError,
     evaluate_gait,
     play_gait,
@@ -43,108 +40,6 @@ def sampled_length(gait: Gait, parameters: Parameters, count: int = 400) -> tupl
     times = np.linspace(0.0, 3.0 * gait.period, count)
     motions = simulate(gait, parameters).at(times)
     return times[1:], motions.length[1:] - parameters.initial_length
-
-
-@few
-@given(seeds)
-def test_mirrored_robot_mirrors_its_motion(seed: int) -> None:
-    _, gait, parameters = crawling_case(seed)
-    mirrored = parameters.replace(rear_mass=parameters.front_mass, front_mass=parameters.rear_mass)
-    times, changes = sampled_length(gait, parameters)
-    forward = Locomotion(parameters, FORWARD, gait.margin)
-    reverse = Locomotion(mirrored, REVERSE, gait.margin)
-    _, ahead = forward.follow(forward.start(), times, changes)
-    _, back = reverse.follow(reverse.start(x1=-groove_phase(parameters)), times, changes)
-    lattice = front_groove(parameters) * parameters.pitch
-    assert back.x1 == pytest.approx(lattice - ahead.x2, abs=1e-9)
-    assert back.front_force == pytest.approx(-ahead.rear_force, abs=1e-5)
-
-
-@few
-@given(seeds, st.floats(0.0, 5000.0))
-def test_bellows_damping_never_changes_the_motion(seed: int, damping: float) -> None:
-    _, gait, parameters = crawling_case(seed)
-    times = np.linspace(0.0, 2.0 * gait.period, 50)
-    one = simulate(gait, parameters, cycles=2).at(times)
-    other = simulate(gait, parameters.replace(bellows_damping=damping), cycles=2).at(times)
-    assert np.array_equal(one.rear_anchor, other.rear_anchor)
-    assert one.x1 == pytest.approx(other.x1, abs=1e-12)
-
-
-@few
-@given(seeds, st.floats(0.0, 0.006))
-def test_margin_is_a_shifted_threshold(seed: int, margin: float) -> None:
-    _, gait, parameters = crawling_case(seed)
-    robust = evaluate_gait(dataclasses.replace(gait, margin=margin), parameters)
-    threshold = parameters.switching_threshold + margin
-    shifted = evaluate_gait(
-        dataclasses.replace(gait, margin=0.0), parameters.replace(switching_threshold=threshold)
-    )
-    assert robust.speed == shifted.speed
-    assert robust.power == shifted.power
-    assert robust.switches == shifted.switches
-
-
-def stored_energy(motions: Motions, parameters: Parameters, direction: int) -> np.ndarray:
-    """Return kinetic energy plus the energy of bellows and fins, J."""
-    stretch = motions.length - parameters.unstressed_length
-    energy = 0.5 * parameters.bellows_stiffness * stretch**2
-    energy += 0.5 * parameters.rear_mass * motions.v1**2
-    energy += 0.5 * parameters.front_mass * motions.v2**2
-    for force in (motions.rear_force, motions.front_force):
-        # below its clearance (force < 0) a fin is engaged in a forward gait
-        engaged = (force < 0.0) == (direction == FORWARD)
-        stiffness = np.where(engaged, parameters.engaged_stiffness, parameters.disengaged_stiffness)
-        energy += 0.5 * force**2 / stiffness
-    return energy
-
-
-@few
-@given(seeds)
-def test_energy_balance_between_switches(seed: int) -> None:
-    _, gait, parameters = crawling_case(seed)
-    trajectory = simulate(gait, parameters, cycles=2)
-    switches = [event.time for event in trajectory.events() if event.switched]
-    edges = np.array([0.0, *switches, trajectory.duration])
-    widest = int(np.argmax(np.diff(edges)))
-    start, end = edges[widest] + 1e-9, edges[widest + 1]
-    inside = [e.time for e in trajectory.events() if start < e.time < end]
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    lost = worked = 0.0
-    borders = np.unique(
-        np.concatenate([np.linspace(start, end, 200), inside, _clip_times(gait, parameters)])
-    )
-    borders = borders[(borders >= start) & (borders <= end)]
-    for low, high in pairwise(borders):
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        m = trajectory.at(middle + half * nodes)
-        loss = parameters.bellows_damping * m.length_rate**2
-        loss = loss + parameters.viscous_friction * (m.v1**2 + m.v2**2)
-        lost += half * float(weights @ loss)
-        worked += half * float(weights @ (-m.cable_force * m.length_rate))
-    before, after = stored_energy(trajectory.at([start, end]), parameters, gait.direction)
-    assert after - before == pytest.approx(worked - lost, rel=1e-6, abs=1e-8)
-
-
-def _clip_times(gait: Gait, parameters: Parameters) -> list[float]:
-    if gait.stroke <= parameters.slack:
-        return []
-    opening = math.acos(1.0 - 2.0 * parameters.slack / gait.stroke) / (2.0 * math.pi)
-    phases = [k + sign * opening for k in range(3) for sign in (-1, 1)]
-    return [phase * gait.period for phase in phases]
-
-
-@few
-@given(seeds)
-def test_anchors_stay_on_the_lattice_and_within_the_threshold(seed: int) -> None:
-    _, gait, parameters = crawling_case(seed)
-    trajectory = simulate(gait, parameters)
-    m = trajectory.at(np.linspace(0.0, trajectory.duration, 300))
-    limit = parameters.switching_threshold + gait.margin + 1e-12
-    for position, anchor in ((m.x1, m.rear_anchor), (m.x2, m.front_anchor)):
-        grooves = anchor / parameters.pitch
-        assert grooves == pytest.approx(np.round(grooves), abs=1e-9)
-        assert np.all(np.abs(position - anchor) <= limit)
 
 
 @few

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator, compared with an independent integration and with the reference table."""
-
-import csv
-from pathlib import Path
+"""The simulator, compared with an independent integration."""
 
 import numpy as np
 import pytest
@@ -65,22 +62,3 @@ def test_positions_between_cycles_agree_with_the_oracle(gait: Gait, parameters) 
     assert motions.energy == pytest.approx(
         parameters.idle_power * motions.time + parameters.power_factor * states[3], rel=1e-8
     )
-
-
-def test_reference_table(shared: Path) -> None:
-    with (shared / "reference" / "gaits.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 16
-    for row in rows:
-        gait = Gait(
-            float(row["stroke_m"]),
-            float(row["frequency_Hz"]),
-            int(row["direction"]),
-            float(row["margin_m"]),
-        )
-        result = evaluate_gait(gait, PAPER.replace(initial_length=float(row["L0_m"])))
-        assert result.speed == pytest.approx(float(row["speed_m_s"]), rel=1e-9, abs=1e-10)
-        assert result.power == pytest.approx(float(row["power_W"]), rel=1e-6)
-        assert result.switches == int(row["switches_5_cycles"])
-        grooves = float(row["grooves_per_cycle"])
-        assert result.grooves_per_cycle == pytest.approx(grooves, abs=1e-6)

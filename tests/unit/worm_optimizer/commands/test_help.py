@@ -30,7 +30,7 @@ COMMANDS = {
     "worm_driver.commands": ("calibrate", "check", "setup_servo"),
     "worm_model.commands": (
         *("bags", "evaluate_gait", "export", "health", "identify", "import_lab", "margin"),
-        *("phase_map", "recover", "replay", "simulate"),
+        *("recover", "replay", "simulate"),
     ),
     "worm_model.nodes": ("play_node", "record_node", "watch_node"),
     "worm_optimizer.commands": (

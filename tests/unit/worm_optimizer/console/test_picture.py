@@ -8,12 +8,11 @@ from xml.etree import ElementTree
 
 import pytest
 
-from worm_model.analysis.robot_drawing import MODULE_WIDTH
 from worm_model.parameters import PAPER
 from worm_model.run import LengthSource
 from worm_model.twin.data.records import StateRecord
 from worm_model.twin.scene import PositionSample
-from worm_optimizer.console.picture import picture
+from worm_optimizer.console.picture import MODULE_WIDTH, picture
 
 TWIN = StateRecord(0, LengthSource.MEASURED, *(0.3, 0.0, 0.3, 0.0, 0.10, 0.40, 0.0, 0.0, 0.09, 0.39),
                    *(0, 0), *(0.0, 0.0, 0.0, 2.0, 0.0))  # fmt: skip

@@ -37,6 +37,7 @@ from worm_model.simulation.kernel.mode import (
     fin_force,
     fin_stiffness,
     mode_of,
+    moved,
 )
 
 STILL = 1e-11  # m/s
@@ -57,6 +58,12 @@ def _sign(value: float) -> int:
 
 
 @inlined
+def _side_from_rest(load: float, dry: float) -> int:
+    """Return the sign of the velocity that a force in N gives a module at rest; 0 if dry friction holds it."""
+    return 0 if abs(load) <= dry + SPARE else _sign(load)
+
+
+@inlined
 def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     """Return the grip of two modules at rest.
 
@@ -68,7 +75,7 @@ def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     """
     both = c.resistance.rear_dry + c.resistance.front_dry
     if stretch == 0:
-        side = 0 if abs(load) <= both + SPARE else _sign(load)
+        side = _side_from_rest(load, both)
         return Grip(side, side)
     along = stretch * load
     if along > both + SPARE:
@@ -125,13 +132,11 @@ def _judge(
     if rear_rests:
         side = _sign(front_velocity)
         load -= c.resistance.front_dry * side
-        return Grip(
-            0 if abs(load) <= c.resistance.rear_dry + SPARE else _sign(load), side
-        ), c.body.mu * rate
+        return Grip(_side_from_rest(load, c.resistance.rear_dry), side), c.body.mu * rate
     side = _sign(rear_velocity)
     if front_rests:
         load += moved - c.resistance.rear_dry * side
-        own = 0 if abs(load) <= c.resistance.front_dry + SPARE else _sign(load)
+        own = _side_from_rest(load, c.resistance.front_dry)
         return Grip(side, own), (c.body.mu - 1.0) * rate
     return Grip(side, _sign(front_velocity)), motion.rate
 
@@ -169,14 +174,7 @@ def enter_dry_mode(
     frictions. No work depends on this assumption, because ΔL is constant.
     """
     grip, rate = _judge(motion, length_change, wave, c, start)
-    motion = Motion(
-        motion.y,
-        rate,
-        motion.rear_groove,
-        motion.front_groove,
-        motion.rear_region,
-        motion.front_region,
-    )
+    motion = moved(motion, motion.y, rate)
     push = -(c.resistance.rear_dry * grip.rear + c.resistance.front_dry * grip.front)
     mode = enter_mode(motion, length_change, wave, c, start, push)
     if grip.rear == 0 or grip.front == 0:

@@ -45,6 +45,7 @@ from worm_model.simulation.kernel.mode import (
     cable_force,
     enter_mode,
     fin_stiffness,
+    moved,
     region_of,
 )
 from worm_model.simulation.kernel.work import cable_power_of, cable_work
@@ -79,6 +80,23 @@ EVENT_COLUMNS = 3
 WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, FAILURE = range(6)
 TOTALS_SIZE = 6
 CHATTERS = 1.0  # in the entry FAILURE: MOST_STEPS are not sufficient, so a fin probably chatters
+
+
+class Records(NamedTuple):
+    """Arrays that a run fills.
+
+    Attributes:
+        totals: (TOTALS_SIZE,); accumulates the positive cable work in J (not for a sampled length, whose rate is not
+            usable), the number of switches, the number of filled rows of ``samples``, and the number of events. The
+            entry STEPS counts the steps of the present segment. The entry FAILURE becomes CHATTERS if a segment needs
+            more than MOST_STEPS.
+        samples: (n, SAMPLE_COLUMNS); the column TIME contains the times of the rows, ascending, s.
+        events: (m, EVENT_COLUMNS); if there are more than m events, the others are only counted.
+    """
+
+    totals: np.ndarray
+    samples: np.ndarray
+    events: np.ndarray
 
 
 class Segment(NamedTuple):
@@ -322,10 +340,10 @@ def _write_samples(
     segment: Segment,
     motion: Motion,
     c: Constants,
-    totals: np.ndarray,
-    samples: np.ndarray,
+    records: Records,
 ) -> None:
     """Fill the rows whose times are at most ``until`` seconds after the start of the mode."""
+    totals, samples = records.totals, records.samples
     start = segment.start + stage.offset
     end = (start + until) * (1.0 + TIME_ROUNDING)
     at = int(totals[SAMPLED])
@@ -341,9 +359,8 @@ def _write_samples(
 
 
 @compiled
-def _write_event(
-    time: float, stop: int, switched: bool, totals: np.ndarray, events: np.ndarray
-) -> None:
+def _write_event(time: float, stop: int, switched: bool, records: Records) -> None:
+    totals, events = records.totals, records.events
     at = int(totals[EVENTS])
     if at < events.shape[0]:
         events[at, EVENT_TIME] = time
@@ -355,20 +372,14 @@ def _write_event(
 
 @inlined
 def _follow_mode(
-    stage: Stage,
-    b: Basis,
-    segment: Segment,
-    motion: Motion,
-    c: Constants,
-    totals: np.ndarray,
-    samples: np.ndarray,
+    stage: Stage, b: Basis, segment: Segment, motion: Motion, c: Constants, records: Records
 ) -> tuple[float, int, Basis]:
     """Follow a mode to its end.
 
     Returns:
         Duration of the mode, the guard that ends it (NOTHING beyond MOST_STEPS), and the basis at the end.
     """
-    wave = segment.wave
+    wave, totals = segment.wave, records.totals
     work = _open_work(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave, c)
     s = 0.0
     while True:
@@ -378,8 +389,8 @@ def _follow_mode(
         s, b = _go(stage, ahead, motion, s, b, wave, c)
         if ahead.stop == guard.NOTHING and totals[STEPS] <= MOST_STEPS:
             continue
-        if totals[SAMPLED] < samples.shape[0]:
-            _write_samples(s, stage, work, segment, motion, c, totals, samples)
+        if totals[SAMPLED] < records.samples.shape[0]:
+            _write_samples(s, stage, work, segment, motion, c, records)
         if work.active:
             totals[WORK_DONE] += work.mark - _antiderivative(stage, b, wave)
         if totals[STEPS] > MOST_STEPS and ahead.stop != guard.END:
@@ -394,13 +405,7 @@ def _follow_mode(
 
 @inlined
 def march(
-    segment: Segment,
-    motion: Motion,
-    even: Constants,
-    grooves: Grooves | None,
-    totals: np.ndarray,
-    samples: np.ndarray,
-    events: np.ndarray,
+    segment: Segment, motion: Motion, even: Constants, grooves: Grooves | None, records: Records
 ) -> Motion:
     """Return the motion at the end of a segment.
 
@@ -411,40 +416,29 @@ def march(
         motion: motion at the start of the segment.
         even: constants of the robot in even grooves.
         grooves: individual grooves; None for even grooves.
-        totals: (TOTALS_SIZE,); accumulates the positive cable work in J (not for a sampled length, whose rate is not
-            usable), the number of switches, the number of filled rows of ``samples``, and the number of events. The
-            entry STEPS counts the steps of this segment. The entry FAILURE becomes CHATTERS if a segment needs more
-            than MOST_STEPS.
-        samples: (n, SAMPLE_COLUMNS), to be filled; the column TIME contains the times of the rows, ascending, s.
-        events: (m, EVENT_COLUMNS), to be filled; if there are more than m events, the others are only counted.
+        records: arrays that are filled.
     """
     c = even if grooves is None else in_grooves(even, motion, grooves)
-    totals[STEPS] = 0.0
+    records.totals[STEPS] = 0.0
     b = basis_at(0.0, 0.0, roots_of(c.body.mass, c.body.friction, 0.0), segment.wave, False)
     offset = 0.0
     while True:
         stage = _open_stage(motion, segment, offset, b, c)
         b = basis_at_start(b, stage.mode.roots)
-        duration, stop, b = _follow_mode(stage, b, segment, motion, c, totals, samples)
+        duration, stop, b = _follow_mode(stage, b, segment, motion, c, records)
         offset += duration
         y = value(stage.mode.y, b)
         y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
         if stop in (guard.END, guard.NOTHING) or stop > guard.END:
-            motion = Motion(
-                y,
-                y_rate,
-                motion.rear_groove,
-                motion.front_groove,
-                motion.rear_region,
-                motion.front_region,
-            )
+            motion = moved(motion, y, y_rate)
             if stop > guard.END:
                 continue
-            totals[FAILURE] = CHATTERS if stop == guard.NOTHING else totals[FAILURE]
+            if stop == guard.NOTHING:
+                records.totals[FAILURE] = CHATTERS
             return motion
         passed = motion.rear_groove + motion.front_groove
         motion = _crossed(motion, stop, y, y_rate, c)
         switched = motion.rear_groove + motion.front_groove != passed
         if grooves is not None:
             c = in_grooves(even, motion, grooves)
-        _write_event(segment.start + offset, stop, switched, totals, events)
+        _write_event(segment.start + offset, stop, switched, records)

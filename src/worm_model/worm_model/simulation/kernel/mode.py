@@ -88,6 +88,14 @@ class Motion(NamedTuple):
     front_region: int
 
 
+@inlined
+def moved(motion: Motion, y: float, rate: float) -> Motion:
+    """Return a motion with other y and ẏ."""
+    return Motion(
+        y, rate, motion.rear_groove, motion.front_groove, motion.rear_region, motion.front_region
+    )
+
+
 class Mode(NamedTuple):
     """Closed form of a mode: y, ΔL, displacements x − A of both fins, and the roots on which the functions depend.
 

@@ -16,7 +16,7 @@ from worm_model.simulation.kernel import march, mode
 from worm_model.simulation.kernel.actuation_law import Actuator, value_at
 from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlocked
 from worm_model.simulation.kernel.grooves import Grooves
-from worm_model.simulation.kernel.linear import Coefficients, Wave
+from worm_model.simulation.kernel.linear import Wave, cubic
 from worm_model.simulation.kernel.start import start_of
 from worm_model.simulation.kernel.waveform import PARTS, answer_to_part, borders_of
 
@@ -83,14 +83,13 @@ def play(
     motion: mode.Motion,
     c: mode.Constants,
     a: Actuator,
-    totals: np.ndarray,
-    samples: np.ndarray,
-    events: np.ndarray,
+    records: march.Records,
 ) -> tuple[float, mode.Motion]:
     """Play a gait from ``first`` to ``last`` in s since its onset, and return (ΔL in m, the motion) at the end.
 
-    ``length_change`` and ``motion`` are ΔL in m and the motion at ``first``. For the arrays see `march`.
+    ``length_change`` and ``motion`` are ΔL in m and the motion at ``first``.
     """
+    totals = records.totals
     period = 1.0 / g.frequency
     start, cycle = first, math.floor(first * g.frequency + 1e-9)
     while start < last and totals[march.FAILURE] == 0.0:
@@ -104,7 +103,7 @@ def play(
             segment = march.Segment(
                 start, end - start, form, Wave(c.body.mass, omega, -1.0 / a.time_constant)
             )
-            motion = march.march(segment, motion, c, None, totals, samples, events)
+            motion = march.march(segment, motion, c, None, records)
             length_change = value_at(form, end - start, omega, a.time_constant)
             start = end
         cycle += 1
@@ -112,20 +111,13 @@ def play(
 
 
 @entry
-def run_gait(
-    g: Any,
-    p: Any,
-    cycles: int,
-    totals: np.ndarray,
-    samples: np.ndarray,
-    events: np.ndarray,
-) -> None:
-    """Run a gait from the start for a number of cycles; for the arrays see `march`."""
+def run_gait(g: Any, p: Any, cycles: int, records: march.Records) -> None:
+    """Run a gait from the start for a number of cycles."""
     c, a = constants_of(p, g.direction, g.margin), actuator_of(p)
     held, length_change, motion = start_of(g, c, a)
     if not held:
-        totals[march.FAILURE] = SLIDES
-    play(0.0, cycles * (1.0 / g.frequency), g, length_change, motion, c, a, totals, samples, events)
+        records.totals[march.FAILURE] = SLIDES
+    play(0.0, cycles * (1.0 / g.frequency), g, length_change, motion, c, a, records)
 
 
 @inlined
@@ -150,13 +142,14 @@ def run_cycles(
     boundaries: np.ndarray,
     totals: np.ndarray,
 ) -> None:
-    """Run a gait from the start for a number of cycles, or until it fails; for ``totals`` see `march`.
+    """Run a gait from the start for a number of cycles, or until it fails; for ``totals`` see `march.Records`.
 
     ``boundaries`` (cycles + 1, BOUNDARY_COLUMNS) receives x1 in m, the cable work so far in J and the number of
     switches so far, at the start of each cycle and at the end of the run. A cycle is determined by the state at its
     start. Once two successive cycles start in the same state, all further cycles are repetitions and are not simulated.
     """
     nothing = np.empty((0, march.SAMPLE_COLUMNS))
+    records = march.Records(totals, nothing, nothing)
     held, length_change, motion = start_of(g, c, a)
     if not held:
         totals[march.FAILURE] = SLIDES
@@ -174,9 +167,7 @@ def run_cycles(
             continue
         before, length_before, first = motion, length_change, cycle * period
         last = first + period
-        length_change, motion = play(
-            first, last, g, length_change, motion, c, a, totals, nothing, nothing
-        )
+        length_change, motion = play(first, last, g, length_change, motion, c, a, records)
         if totals[march.FAILURE] != 0.0:
             return
         steady = abs(length_change - length_before) <= STEADY and _alike(before, motion, c)
@@ -255,7 +246,7 @@ def sample_many(
     for k in range(gaits.shape[0]):
         totals = np.zeros(march.TOTALS_SIZE)
         samples[:, march.TIME] = (cycle + phases[k]) / gaits[k].frequency
-        run_gait(gaits[k], p, cycle + 1, totals, samples, samples[:0])
+        run_gait(gaits[k], p, cycle + 1, march.Records(totals, samples, samples[:0]))
         if totals[march.FAILURE] != 0.0:
             samples[:] = math.nan
         force[k], length_rate[k] = samples[:, march.FORCE], samples[:, march.LENGTH_RATE]
@@ -268,36 +259,23 @@ def run_sampled(
     motion: mode.Motion,
     c: mode.Constants,
     grooves: Grooves | None,
-    totals: np.ndarray,
-    samples: np.ndarray,
-    events: np.ndarray,
+    records: march.Records,
 ) -> mode.Motion:
     """Run under a piecewise cubic ΔL from breaks[0] to breaks[-1], and return the motion at the end.
 
     ``breaks`` (n + 1,) in s, ascending, are the borders of the segments. Column k of ``coefficients`` (4, n or more)
-    contains the coefficients of ΔL in m in the time in s since breaks[k], constant term first. For the grooves and the
-    other arrays see `march`.
+    contains the coefficients of ΔL in m in the time in s since breaks[k], constant term first. For the other arguments
+    see `march`.
     """
     still = Wave(c.body.mass, 0.0, 0.0)
     for k in range(breaks.size - 1):
         duration = breaks[k + 1] - breaks[k]
         if duration < 0.0:
             continue
-        form = Coefficients(
-            coefficients[0, k],
-            coefficients[1, k],
-            coefficients[2, k],
-            coefficients[3, k],
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-        )
+        form = cubic(coefficients[0, k], coefficients[1, k], coefficients[2, k], coefficients[3, k])
         segment = march.Segment(breaks[k], duration, form, still)
-        motion = march.march(segment, motion, c, grooves, totals, samples, events)
-        if totals[march.FAILURE] != 0.0:
+        motion = march.march(segment, motion, c, grooves, records)
+        if records.totals[march.FAILURE] != 0.0:
             break
     return motion
 
@@ -317,9 +295,9 @@ def rest_at(length_change: float, c: mode.Constants) -> mode.Motion:
     coefficients = np.zeros((4, 2))
     coefficients[1, 0], coefficients[0, 1] = length_change / SETTLING_TIME, length_change
     breaks = SETTLING_TIME * np.arange(3.0)
-    samples, events = np.empty((0, march.SAMPLE_COLUMNS)), np.empty((0, march.EVENT_COLUMNS))
-    totals = np.zeros(march.TOTALS_SIZE)
-    return run_sampled(breaks, coefficients, straight, fins_alone, None, totals, samples, events)
+    nothing = np.empty((0, march.SAMPLE_COLUMNS))
+    records = march.Records(np.zeros(march.TOTALS_SIZE), nothing, nothing)
+    return run_sampled(breaks, coefficients, straight, fins_alone, None, records)
 
 
 @unlocked
@@ -347,10 +325,10 @@ def run_from_rest(
             centre of mass stays at rest. 1: the rear module stays at rest, as in the paper's initial values.
         rear_grooves: grooves of the rear module, see `Grooves`.
         front_grooves: grooves of the front module, see `Grooves`.
-        samples: see `march`.
+        samples: see `march.Records`.
     """
     c = constants_of(p, direction, 0.0)
-    change, totals = coefficients[0, 0], np.zeros(march.TOTALS_SIZE)
+    change = coefficients[0, 0]
     rest = rest_at(change, c)
     rear = rest.y - c.body.mu * change + deflection
     front = rear + c.body.initial_length + change
@@ -364,17 +342,9 @@ def run_from_rest(
     )
     first = int(mode.nearest_groove_of(c.body.initial_length, c.body.pitch))
     grooves = Grooves(rear_grooves, front_grooves, first)
-    run_sampled(
-        breaks,
-        coefficients,
-        motion,
-        c,
-        grooves,
-        totals,
-        samples,
-        np.empty((0, march.EVENT_COLUMNS)),
-    )
-    return totals[march.FAILURE] == 0.0
+    records = march.Records(np.zeros(march.TOTALS_SIZE), samples, samples[:0])
+    run_sampled(breaks, coefficients, motion, c, grooves, records)
+    return records.totals[march.FAILURE] == 0.0
 
 
 @compiled
@@ -385,27 +355,7 @@ def step(
     totals: np.ndarray,
     sample: np.ndarray,
 ) -> mode.Motion:
-    """Return the motion at the end of a segment, and fill ``sample`` (1, SAMPLE_COLUMNS) there; see `march`."""
+    """Return the motion at the end of a segment, and fill ``sample`` (1, SAMPLE_COLUMNS) there; see `march.Records`."""
     totals[march.SAMPLED] = 0.0
     sample[0, march.TIME] = segment.start + segment.duration
-    return march.march(segment, motion, c, None, totals, sample, sample[:0])
-
-
-@entry
-def play_on(
-    g: Any,
-    p: Any,
-    c: mode.Constants,
-    length_change: float,
-    motion: mode.Motion,
-    totals: np.ndarray,
-    samples: np.ndarray,
-) -> mode.Motion:
-    """Play a gait that begins at time 0 with a motion and ΔL (m), up to the time of the last row of ``samples``.
-
-    Returns the motion at this time; for the arrays see `march`.
-    """
-    last = samples[samples.shape[0] - 1, march.TIME]
-    a = actuator_of(p)
-    _, motion = play(0.0, last, g, length_change, motion, c, a, totals, samples, samples[:0])
-    return motion
+    return march.march(segment, motion, c, None, march.Records(totals, sample, sample[:0]))
