@@ -18,6 +18,7 @@ import numpy as np
 from worm_model.run import LengthSource
 
 NANOSECONDS = 1_000_000_000
+STALE_S = 1.0  # time without a message after which its source counts as silent
 
 
 class Health(enum.IntEnum):
