@@ -221,9 +221,9 @@ def test_it_takes_new_parameters_predicts_and_shows(
     mark = len(diagnostics)
     probe.wait_for(lambda: len(diagnostics) > mark + 1, "another second")
     assert markers == []
-    assert not set_parameter(probe, "measured_stale_s", -1.0)
+    assert not set_parameter(probe, "delay_s", -1.0)
     assert not set_parameter(probe, "parameter_file", "/nowhere.yaml")
-    assert set_parameter(probe, "pause_s", 2.0)
+    assert set_parameter(probe, "power_scale_w", 2.0)
     before = len(states)
     robot.move(1.21)
     probe.wait_for(lambda: len(states) > before, "a state after the change")

@@ -228,8 +228,7 @@ def robot_of(value: Callable[[str], Any]) -> Parameters:
 
 def settings_of(node: Any) -> TwinSettings:
     """Return the settings of the twin from the ROS parameters of a node."""
-    names = [row.name for row in dataclasses.fields(TwinSettings)]
-    return TwinSettings(**{name: node.get_parameter(name).value for name in names})
+    return TwinSettings(*(node.get_parameter(name).value for name in TwinSettings._fields))
 
 
 # --- conversion of the scene to markers ----------------------------------------------------

@@ -129,7 +129,7 @@ class TwinNode(Node):
         self._publish(output)
         if is_due(self._state, self._stored_ns):
             self._stored_ns = int(self._state.record["processed_ns"])
-            content = stored_memory(self._twin, self._state)
+            content = stored_memory(self._twin.parameters, self._state)
             self._memories.publish(twin_messages.memory_message(self._stored_ns, content))
         if len(output.states):
             self._shown, self._moved = output.states[-1].copy(), self._received

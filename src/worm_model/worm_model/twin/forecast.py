@@ -99,7 +99,7 @@ def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, simulat
         turn_fins(memory.record[0])
         onset = int(memory.record[0]["processed_ns"]) + REST_NS
         driver = DriverState(onset, Activity.RUNNING, gait, onset)
-        begin_run(memory, driver, twin.parameters, twin.settings, state.starts)
+        begin_run(memory, driver, twin.parameters, state.starts)
         state = replace(state, memory=memory)
     elif state.record["moving"]:
         return state, motion_of(state.record)

@@ -12,6 +12,7 @@ from worm_model.twin.core.memory import NANOSECONDS, POSITION, Memory
 from worm_model.twin.data.samples import DriverState, driver_state_of
 from worm_model.twin.findings import Finding
 from worm_model.twin.start_estimate import EstimatedStart
+from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.gait import WAVEFORM, Gait
 
 
@@ -60,6 +61,12 @@ class Standing:
     start_known: bool
 
 
+def apply_settings(m: Any, settings: TwinSettings) -> None:
+    """Store the settings. ``m`` is the record, here and below."""
+    m["delay"] = round(settings.delay_s * NANOSECONDS)
+    m["usual_size"] = settings[1:]
+
+
 def next_driver_state(memory: Memory) -> DriverState:
     """Take the driver state at which the core has stopped."""
     m: Any = memory.record[0]
@@ -69,7 +76,7 @@ def next_driver_state(memory: Memory) -> DriverState:
 
 
 def store_driver_state(m: Any, driver: DriverState) -> None:
-    """Store the activity of the driver. ``m`` is the record, here and below."""
+    """Store the activity of the driver."""
     if driver.activity == Activity.RESTING != m["activity"]:
         m["rest_ns"] = driver.stamp_ns
     m["activity"] = driver.activity
@@ -173,8 +180,9 @@ def excuse_groove(m: Any, pitch: float) -> None:
 
 
 def keep_counts(m: Any, before: Any) -> None:
-    """Take over the number of samples by fate from the record before a restart."""
-    m["counts"] = before["counts"]
+    """Take over settings and the number of samples by fate from the record before a restart."""
+    for name in ("counts", "delay", "usual_size"):
+        m[name] = before[name]
 
 
 def _end_of_cycle(m: Any, gait: Gait) -> int:

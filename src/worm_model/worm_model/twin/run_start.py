@@ -3,7 +3,7 @@
 
 All samples before the onset have been processed when the run starts.
 
-- The position of the rear module is the mean of the tracker's positions during the last ``rest_s`` seconds.
+- The position of the rear module is the mean of the tracker's positions during the last `REST_S` seconds.
 - L0 is the mean length of the same time span: the measured body length or, without it, x2 − x1 of the tracker. If there
   is no plausible length, L0 is that of the previous run if it was measured or estimated, and otherwise the parameter.
 - The first run starts with straight fins, or with fins that only load and pretension deflect.
@@ -33,11 +33,10 @@ from worm_model.simulation.actuation import length_change_of_command, resting_ch
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin import record_changes
-from worm_model.twin.core.memory import NANOSECONDS, Memory
+from worm_model.twin.core.memory import NANOSECONDS, REST_S, Memory
 from worm_model.twin.data.samples import DriverState, SampleKind
 from worm_model.twin.record_changes import Place, Standing
 from worm_model.twin.start_estimate import Start
-from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.gait import FORWARD, Gait
 
 # A twin that joins a run at most this long after the onset does not report the delay.
@@ -74,7 +73,6 @@ def begin_run(
     memory: Memory,
     driver: DriverState,
     parameters: Parameters,
-    settings: TwinSettings,
     starts: Mapping[int, Start],
 ) -> tuple[int, str]:
     """Initialize a run in the memory.
@@ -86,13 +84,12 @@ def begin_run(
         memory: the twin's memory, updated in place.
         driver: first driver state of the run.
         parameters: parameters of the robot.
-        settings: settings of the twin.
         starts: starts that are already known, by onset in ns.
 
     Returns:
         Stamp (ns) from which the twin follows the run, and a message.
     """
-    text, standing = _stand(memory, driver, parameters, settings, starts.get(driver.onset_ns))
+    text, standing = _stand(memory, driver, parameters, starts.get(driver.onset_ns))
     start, gait = max(driver.onset_ns, int(memory.record[0]["processed_ns"])), driver.gait
     late = (start - driver.onset_ns) / NANOSECONDS
     command, length_change, cycle = 0.0, standing.length_change, 0
@@ -119,12 +116,11 @@ def _stand(
     memory: Memory,
     driver: DriverState,
     parameters: Parameters,
-    settings: TwinSettings,
     start: Start | None,
 ) -> tuple[str, Standing]:
     """Return a message, and L0, pose and origin of a run at its onset, from the samples at rest before it."""
     m = memory.record[0]
-    rest = _at_rest(memory, driver.onset_ns, settings)
+    rest = _at_rest(memory, driver.onset_ns)
     pulled = 0.0 if driver.gait is None else resting_change(driver.gait, parameters)
     length, position = rest.length - pulled, rest.position
     direction = FORWARD if driver.gait is None else driver.gait.direction
@@ -235,14 +231,14 @@ class _Rest(NamedTuple):
     position: float
 
 
-def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> _Rest:
+def _at_rest(memory: Memory, onset_ns: int) -> _Rest:
     """Return the measurements of the robot at rest before an onset; NaN where there are too few samples."""
     m = memory.record[0]
     if m["start_ns"] and not m["end_ns"]:
         return _Rest(math.nan, settled=False, position=math.nan)  # another gait has run until now
     rows = memory.rows[: int(m["place"])]
     last = onset_ns - GUARD_NS
-    first = max(last - round(settings.rest_s * NANOSECONDS), int(m["end_ns"]))
+    first = max(last - round(REST_S * NANOSECONDS), int(m["end_ns"]))
     rows = rows[(rows["stamp"] >= first) & (rows["stamp"] <= last)]
     lengths = rows["a"][rows["kind"] == SampleKind.LENGTH]
     tracker = rows[rows["kind"] == SampleKind.POSITION]

@@ -3,9 +3,9 @@
 
 `Twin.advance` processes the latest samples of the live robot, or the parts of a recording, with the same compiled core
 (`worm_model.twin.core`). It reads no clock and draws no random numbers. The result therefore does not depend on how the
-samples are divided into calls, or on the order in which the samples of the last ``delay_s`` arrive. This module handles
-the rare events: driver states, ends of cycles, jumps of the clock. To change parameters between two calls, pass the
-state to another `Twin`. L0 of the present run then stays as it is.
+samples are divided into calls, or on the order in which the samples of the last `TwinSettings.delay_s` arrive. This
+module handles the rare events: driver states, ends of cycles, jumps of the clock. To change parameters between two
+calls, pass the state to another `Twin`. L0 of the present run then stays as it is.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from worm_model.twin import record_changes
 from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP, NEAR_EDGE
 from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
+    LOOK_AHEAD_NS,
     NANOSECONDS,
     VERDICTS,
     Memory,
     OutputRows,
-    Rules,
     gait_of_run,
     new_memory,
     new_rows,
@@ -192,11 +192,11 @@ class Twin:
 
         With ``to_the_end`` no samples follow, so that all samples are processed at once.
         """
+        record_changes.apply_settings(state.record, self.settings)
         waiting = int(state.record["filled"]) - int(state.record["place"])
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
         call = _Call(self, state, room)
-        rules = call.model()[0]
-        lag_ns = rules.delay + rules.look_ahead
+        lag_ns = int(state.record["delay"]) + LOOK_AHEAD_NS
         call.take(samples, lag_ns)
         call.process(-FOREVER_NS if to_the_end else lag_ns)
         call.complete_states()
@@ -222,10 +222,9 @@ class _Call:
     cycles: list[ClosedCycle] = field(default_factory=list)
     completed: int = 0  # number of states that contain the margins
 
-    def model(self) -> tuple[Rules, Constants, Actuator, np.void]:
-        """Return settings and parameters of the current run in the form that the core needs."""
-        parameters = self.twin.effective_parameters(self.state)
-        return _model(parameters, self.state.direction, self.twin.settings)
+    def model(self) -> tuple[Constants, Actuator, np.void]:
+        """Return the parameters of the current run in the form that the core needs."""
+        return _model(self.twin.effective_parameters(self.state), self.state.direction)
 
     def take(self, samples: SampleRows, lag_ns: int) -> None:
         """Add samples, and process all samples that are at least ``lag_ns`` older than the newest."""
@@ -251,8 +250,7 @@ class _Call:
         self.state.positions.add(samples)
         first = 0
         while first < len(samples):
-            rules = self.model()[0]
-            jump, first = sample_buffer.insert_all(self.state.memory, samples, first, rules)
+            jump, first = sample_buffer.insert_all(self.state.memory, samples, first)
             if jump != sample_buffer.NO_JUMP:
                 self.process(-FOREVER_NS)  # process all samples from before the jump
                 self._restart("back" if jump == sample_buffer.JUMPED_BACK else "ahead")
@@ -315,7 +313,7 @@ class _Call:
 
     def _begin(self, driver: DriverState) -> None:
         state, twin = self.state, self.twin
-        start, text = begin_run(state.memory, driver, twin.parameters, twin.settings, state.starts)
+        start, text = begin_run(state.memory, driver, twin.parameters, state.starts)
         m = state.record
         state.history = History()
         self.complete_states()
@@ -328,8 +326,7 @@ class _Call:
         state.clock_set = state.clock_set and driver.gait is None
         if state.gait is not None:
             self._report_edge(start, edge_of(state.gait, twin.effective_parameters(state)))
-        rules, c, a, p = self.model()
-        estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
+        estimator.begin_track(state.memory, start, *self.model(), self.room)
 
     def _report_edge(self, stamp: int, edge: Edge) -> None:
         """Report an edge once per run. From then on, a whole groove does not affect the health."""
@@ -480,9 +477,7 @@ class _Call:
         state.clock_set = state.is_running
         record_changes.keep_counts(fresh.record, state.record)
         state.memory, state.history, state.joined_cycle = fresh.memory, History(), 0
-        rules = self.model()[0]
-        for k in range(len(held)):
-            sample_buffer.insert(state.memory, held[k : k + 1], rules)
+        sample_buffer.insert_all(state.memory, held, 0)
 
 
 @lru_cache(maxsize=16)
@@ -491,34 +486,6 @@ def _with_length(parameters: Parameters, initial_length: float) -> Parameters:
 
 
 @lru_cache(maxsize=16)
-def _model(
-    parameters: Parameters, direction: int, settings: TwinSettings
-) -> tuple[Rules, Constants, Actuator, np.void]:
+def _model(parameters: Parameters, direction: int) -> tuple[Constants, Actuator, np.void]:
     row = parameter_rows(parameters)[0]
-    constants = constants_of(row, float(direction), 0.0)
-    return rules_of(settings), constants, actuator(parameters), row
-
-
-def rules_of(settings: TwinSettings) -> Rules:
-    """Return the settings in the form that the core needs, with times in ns."""
-
-    def ns(seconds: float) -> int:
-        return round(seconds * NANOSECONDS)
-
-    return Rules(
-        delay=ns(settings.delay_s),
-        look_ahead=ns(max(settings.measured_stale_s, settings.smoothing_s)),
-        stale=ns(settings.measured_stale_s),
-        pause=ns(settings.pause_s),
-        jump_back=ns(settings.jump_back_s),
-        hold_ahead=ns(settings.hold_ahead_s),
-        jump_ahead=ns(settings.jump_ahead_s),
-        history=ns(settings.rest_s + settings.smoothing_s + 1.0),
-        period=ns(settings.output_period_s),
-        moved=ns(settings.tracker_moved_s),
-        smoothing=settings.smoothing_s,
-        gate=settings.tracker_gate_m,
-        position_scale=settings.position_scale_m,
-        length_scale=settings.length_scale_m,
-        power_scale=settings.power_scale_w,
-    )
+    return constants_of(row, float(direction), 0.0), actuator(parameters), row

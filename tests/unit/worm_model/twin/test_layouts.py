@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 
 import yaml
 
-
 ROOT = Path(__file__).resolve().parents[4]
 
 
