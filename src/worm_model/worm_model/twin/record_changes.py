@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 from worm_model.run import PLAYING, Activity
@@ -14,51 +14,6 @@ from worm_model.twin.findings import Finding
 from worm_model.twin.start_estimate import EstimatedStart
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.gait import WAVEFORM, Gait
-
-
-@dataclass(frozen=True)
-class Place:
-    """Place of a robot at rest.
-
-    Attributes:
-        x1: position of the rear module relative to its anchor, m.
-        front_groove: front anchor in grooves from the rear one.
-        anchor: position of the rear anchor in the tracker's frame, m.
-    """
-
-    x1: float
-    front_groove: int
-    anchor: float
-
-    def off(self, position: float, pitch: float) -> float:
-        """Return the distance (m) between a rear module at ``position`` (m) and this place, modulo the ``pitch``."""
-        off = position - (self.anchor + self.x1)
-        return abs(off - round(off / pitch) * pitch)
-
-
-@dataclass(frozen=True)
-class Standing:
-    """Robot at the beginning of a run.
-
-    Attributes:
-        direction: direction for which the fins are set.
-        length_change: ΔL, m.
-        initial_length: L0, m.
-        length_seen: True if an instrument measured L0.
-        length_fitted: True if L0 was estimated from the motion.
-        place: place of the robot.
-        anchor_known: True if the tracker has measured the position of the rear anchor.
-        start_known: True if the state of the fins is known.
-    """
-
-    direction: int
-    length_change: float
-    initial_length: float
-    length_seen: bool
-    length_fitted: bool
-    place: Place
-    anchor_known: bool
-    start_known: bool
 
 
 def apply_settings(m: Any, settings: TwinSettings) -> None:
@@ -94,22 +49,28 @@ def turn_fins(m: Any) -> None:
 def begin_run(
     memory: Memory,
     driver: DriverState,
-    standing: Standing,
+    standing: Mapping[str, Any],
     start_ns: int,
     command: float,
     cycle: int,
 ) -> None:
     """Begin a run with its first driver state.
 
-    The twin follows the run from ``start_ns`` on, later than the onset if it joins late. ``command`` is u_cmd (m) and
-    ``cycle`` the number of the cycle at this time; without a gait, ``cycle`` is 0.
+    Args:
+        memory: the twin's memory.
+        driver: first driver state of the run.
+        standing: fields of the record that describe the robot at the beginning of the run.
+        start_ns: stamp from which the twin follows the run, later than the onset if it joins late.
+        command: u_cmd at this time, m.
+        cycle: number of the cycle at this time, 0 without a gait.
     """
     m: Any = memory.record[0]
-    gait, place = driver.gait, standing.place
+    gait = driver.gait
+    for name, value in standing.items():
+        m[name] = value
     m["run"], m["start_ns"], m["end_ns"] = driver.run, driver.onset_ns, 0
     m["has_gait"] = gait is not None
-    m["engaged"], m["command_ns"] = 1, start_ns
-    m["command"], m["answer"] = command, standing.length_change
+    m["engaged"], m["command_ns"], m["command"] = 1, start_ns, command
     m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
     m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start_ns, math.nan, 0.0
     m["cycle"], m["cycle_end_ns"], m["cycle_groove"] = cycle, 0, 0
@@ -118,10 +79,6 @@ def begin_run(
         for name in WAVEFORM:
             m[name] = getattr(gait, name)
         m["cycle_end_ns"] = _end_of_cycle(m, gait)
-    m["initial_length"], m["direction"] = standing.initial_length, standing.direction
-    m["length_seen"], m["length_fitted"] = standing.length_seen, standing.length_fitted
-    m["pose_x1"], m["pose_front"], m["origin"] = place.x1, place.front_groove, place.anchor
-    m["origin_known"], m["start_known"] = standing.anchor_known, standing.start_known
     m["edge_slack"] = 0.0
     # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
     _forget_position_residuals(m)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +34,6 @@ from worm_model.simulation.simulator import Locomotion, LocomotionState, Simulat
 from worm_model.twin import record_changes
 from worm_model.twin.core.memory import NANOSECONDS, REST_S, Memory
 from worm_model.twin.data.samples import DriverState, SampleKind
-from worm_model.twin.record_changes import Place, Standing
 from worm_model.twin.start_estimate import Start
 from worm_msgs.gait import FORWARD, Gait
 
@@ -92,22 +90,18 @@ def begin_run(
     text, standing = _stand(memory, driver, parameters, starts.get(driver.onset_ns))
     start, gait = max(driver.onset_ns, int(memory.record[0]["processed_ns"])), driver.gait
     late = (start - driver.onset_ns) / NANOSECONDS
-    command, length_change, cycle = 0.0, standing.length_change, 0
+    command, cycle, known = 0.0, 0, standing["origin_known"]
     if gait is not None:
         command = float(gait.command(0.0))
         cycle = math.floor(late * gait.frequency + 1e-9) + 1
         if late > 0.0:
             command, length_change = _joined(gait, late, parameters)
-    anchor_known = standing.anchor_known
+            standing |= {"answer": length_change}
     if late > LATE_S:
         text += f"; its onset was {late:.2f} s ago, so the twin joins at the present phase of the command"
-        anchor_known = anchor_known and cycle <= 1
-    standing = replace(
-        standing,
-        length_change=length_change,
-        anchor_known=anchor_known,
-        start_known=standing.start_known and (late <= 0.0 or anchor_known),
-    )
+        known = known and cycle <= 1
+    if late > 0.0:
+        standing |= {"origin_known": known, "start_known": standing["start_known"] and known}
     record_changes.begin_run(memory, driver, standing, start, command, cycle)
     return start, text
 
@@ -117,8 +111,11 @@ def _stand(
     driver: DriverState,
     parameters: Parameters,
     start: Start | None,
-) -> tuple[str, Standing]:
-    """Return a message, and L0, pose and origin of a run at its onset, from the samples at rest before it."""
+) -> tuple[str, dict[str, Any]]:
+    """Return a message, and the fields of the record for L0, pose and origin of a run at its onset.
+
+    They follow from the samples at rest before the onset.
+    """
     m = memory.record[0]
     rest = _at_rest(memory, driver.onset_ns)
     pulled = 0.0 if driver.gait is None else resting_change(driver.gait, parameters)
@@ -155,7 +152,7 @@ def _stand(
         off = place.off(position, parameters.pitch)
         known = off <= SURE_M
         if off <= TOLERANCE * parameters.pitch:
-            place = Place(place.x1, place.front_groove, position - place.x1)
+            place = _Place(place.x1, place.front_groove, position - place.x1)
         else:
             place = None
             text += "; the robot was moved since the previous run"
@@ -163,17 +160,19 @@ def _stand(
         anchor = float(m["origin"]) if math.isnan(position) else position
         free = _unstressed(parameters.replace(initial_length=initial_length), direction, pulled)
         stands, known = start or free, start is not None
-        place = Place(stands.x1, stands.front_groove, anchor - stands.x1)
-    return text, Standing(
-        direction=direction,
-        length_change=tightened,
-        initial_length=initial_length,
-        length_seen=tracked,
-        length_fitted=fitted,
-        place=place,
-        anchor_known=bool(m["origin_known"]) or math.isfinite(position),
-        start_known=known,
-    )
+        place = _Place(stands.x1, stands.front_groove, anchor - stands.x1)
+    return text, {
+        "direction": direction,
+        "answer": tightened,
+        "initial_length": initial_length,
+        "length_seen": tracked,
+        "length_fitted": fitted,
+        "pose_x1": place.x1,
+        "pose_front": place.front_groove,
+        "origin": place.anchor,
+        "origin_known": bool(m["origin_known"]) or math.isfinite(position),
+        "start_known": known,
+    }
 
 
 def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
@@ -215,6 +214,25 @@ def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:
         return change
     coming_back = m["start_ns"] and not rest.settled and -shorter < change < 0.0
     return change if coming_back else 0.0
+
+
+class _Place(NamedTuple):
+    """Place of a robot at rest.
+
+    Attributes:
+        x1: position of the rear module relative to its anchor, m.
+        front_groove: front anchor in grooves from the rear one.
+        anchor: position of the rear anchor in the tracker's frame, m.
+    """
+
+    x1: float
+    front_groove: int
+    anchor: float
+
+    def off(self, position: float, pitch: float) -> float:
+        """Return the distance (m) between a rear module at ``position`` (m) and this place, modulo the ``pitch``."""
+        off = position - (self.anchor + self.x1)
+        return abs(off - round(off / pitch) * pitch)
 
 
 class _Rest(NamedTuple):
@@ -278,7 +296,7 @@ def _joined(gait: Gait, elapsed: float, parameters: Parameters) -> tuple[float, 
 
 def _left_behind(
     m: Any, parameters: Parameters, length: float, direction: int, turned_at: float
-) -> Place | None:
+) -> _Place | None:
     """Return the place where the previous run leaves the robot, or None if the place is unknown.
 
     Args:
@@ -308,7 +326,7 @@ def _left_behind(
             x1 = model.x1(model.settled(turned, length - parameters.initial_length))
     except SimulationError:
         return None
-    return Place(x1, front, float(m["origin"]) + grooves * parameters.pitch)
+    return _Place(x1, front, float(m["origin"]) + grooves * parameters.pitch)
 
 
 def motion_of(m: Any) -> LocomotionState:

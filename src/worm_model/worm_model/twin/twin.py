@@ -10,7 +10,7 @@ calls, pass the state to another `Twin`. L0 of the present run then stays as it 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -48,8 +48,8 @@ from worm_model.twin.diagnosis import (
     off_at_end,
 )
 from worm_model.twin.edges import Edge, edge_of
-from worm_model.twin.findings import INFORMATION, Finding, Sentence
-from worm_model.twin.run_margins import MarginRecord, RunPositions
+from worm_model.twin.findings import Finding
+from worm_model.twin.run_margins import NO_MARGINS, RunPositions
 from worm_model.twin.run_start import begin_run, is_new_run
 from worm_model.twin.start_estimate import Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
@@ -76,7 +76,7 @@ class TwinState:
         clock_set: True if the clock was set during a run and no run with a reported gait has begun since.
         starts: estimated starts, by onset in ns.
         positions: tracker samples from which the margins are measured.
-        margins: measured margins of the run.
+        margins: measured margins of the run, by field of the message TwinState.
     """
 
     memory: Memory
@@ -87,7 +87,7 @@ class TwinState:
     clock_set: bool = False
     starts: dict[int, Start] = field(default_factory=dict)
     positions: RunPositions = field(default_factory=RunPositions)
-    margins: MarginRecord = field(default_factory=MarginRecord)
+    margins: dict[str, float] = field(default_factory=lambda: NO_MARGINS)
 
     @property
     def record(self) -> Any:
@@ -242,7 +242,7 @@ class _Call:
     def complete_states(self) -> None:
         """Add the present margins to the states since the last call."""
         count = int(self.room.counts[0])
-        for name, value in asdict(self.state.margins).items():
+        for name, value in self.state.margins.items():
             self.room.states[name][self.completed : count] = value
         self.completed = count
 
@@ -317,7 +317,7 @@ class _Call:
         m = state.record
         state.history = History()
         self.complete_states()
-        state.margins = MarginRecord()
+        state.margins = NO_MARGINS
         late = start > driver.onset_ns and not m["origin_known"]
         state.joined_cycle = int(m["cycle"]) if late else 0
         self.events.append(Event(driver.stamp_ns, Severity.INFO, text, run=driver.run))
@@ -425,20 +425,16 @@ class _Call:
         if found is not None:
             state.starts[int(m["start_ns"])] = found.start
             record_changes.continue_from(m, found)
-            offset = {"offset_mm": 1e3 * found.start.x1}
-            return [Finding(INFORMATION, Sentence.BENT_FINS, cycle.number, offset)], ""
-        facts = {"reason": reason}
+            text = (
+                f"the gait began with bent fins, the rear module {1e3 * found.start.x1:+.1f} mm off its groove, "
+                "according to the positions"
+            )
+            return [Finding(cycle.number, text)], ""
+        text = f"is not judged: {reason}"
         if np.isnan(off):
-            return [Finding(INFORMATION, Sentence.NOT_JUDGED, cycle.number, facts)], reason
-        reset = Finding(
-            INFORMATION,
-            Sentence.NOT_JUDGED_RESET,
-            cycle.number,
-            facts,
-            shift=off,
-            explains_position=True,
-        )
-        return [reset], reason
+            return [Finding(cycle.number, text)], reason
+        text += "; the twin resets its position to the tracker's"
+        return [Finding(cycle.number, text, shift=off, explains_position=True)], reason
 
     def _follow(self, finding: Finding, stamp: int, gait: Gait) -> None:
         """Report a finding, and correct the twin accordingly."""
