@@ -10,23 +10,14 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import (
-    Point,
-    Pose,
-    Quaternion,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
+from geometry_msgs.msg import Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Header
 
 from worm_model.loads import under
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import nanoseconds
-from worm_model.twin import scene
 from worm_model.twin.data.records import (
     NANOSECONDS,
     RESIDUAL_FIELDS,
@@ -40,6 +31,7 @@ from worm_model.twin.data.samples import (
     SampleKind,
 )
 from worm_model.twin.forecast import Forecast
+from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import PARAMETER_FILE, TwinSettings
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import (
@@ -104,7 +96,7 @@ _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
 def state_message(row: Any) -> TwinState:
     """Return the TwinState of a row of `twin.data.records.STATE_ROW`."""
     message = _filled(TwinState(), row, _STATE)
-    message.header.frame_id = scene.FRAME
+    message.header.frame_id = FRAME
     return message
 
 
@@ -229,39 +221,3 @@ def robot_of(value: Callable[[str], Any]) -> Parameters:
 def settings_of(node: Any) -> TwinSettings:
     """Return the settings of the twin from the ROS parameters of a node."""
     return TwinSettings(*(node.get_parameter(name).value for name in TwinSettings._fields))
-
-
-# --- conversion of the scene to markers ----------------------------------------------------
-
-_MARKER_TYPES = {
-    scene.ShapeKind.BOX: Marker.CUBE,
-    scene.ShapeKind.BOXES: Marker.CUBE_LIST,
-    scene.ShapeKind.CYLINDER: Marker.CYLINDER,
-}
-_UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
-_ALONG_X = Quaternion(x=0.0, y=math.sqrt(0.5), z=0.0, w=math.sqrt(0.5))
-_MARKER_LIFETIME_S = 1  # time after which a marker disappears if it is not published again
-
-
-def marker_array(shapes: Sequence[scene.Shape], stamp: Time) -> MarkerArray:
-    """Return one marker per shape. Each has its own namespace, so that viewers can hide single shapes."""
-    return MarkerArray(markers=[_marker(shape, stamp) for shape in shapes])
-
-
-def _marker(shape: scene.Shape, stamp: Time) -> Marker:
-    red, green, blue, opacity = shape.colour
-    marker = Marker(
-        header=Header(stamp=stamp, frame_id=scene.FRAME),
-        ns=shape.name,
-        id=0,
-        type=_MARKER_TYPES[shape.kind],
-        action=Marker.ADD,
-        scale=Vector3(**dict(zip("xyz", shape.size, strict=True))),
-        color=ColorRGBA(r=red, g=green, b=blue, a=opacity),
-        points=[Point(x=x, y=y, z=z) for x, y, z in shape.points],
-    )
-    x, y, z = shape.position
-    turn = _ALONG_X if shape.kind is scene.ShapeKind.CYLINDER else _UPRIGHT
-    marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=turn)
-    marker.lifetime.sec = _MARKER_LIFETIME_S
-    return marker

@@ -31,12 +31,13 @@ from worm_model.gait import (
     gait_of,
 )
 from worm_model.nodes import twin_messages
+from worm_model.nodes.twin_markers import markers
 from worm_model.parameters import ParameterError
 from worm_model.twin import warm_up
 from worm_model.twin.data.records import Event, Severity, StateRecord
 from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_model.twin.forecast import ForecastError, forecast
-from worm_model.twin.scene import LOST_S, PositionSample, scene
+from worm_model.twin.scene import LOST_S, PositionSample
 from worm_model.twin.stored_memory import is_due, stored_memory
 from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_settings import PUBLISH_TF, rows
@@ -235,9 +236,7 @@ class TwinNode(Node):
         shown = StateRecord(*self._shown.item())
         # The twin lags behind. The robot is shown at the measured position whose stamp is nearest to the twin's.
         nearest = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
-        shapes = scene(shown, nearest, parameters, self._state.direction)
-        stamp = twin_messages.time_message(shown.stamp_ns)
-        self._markers.publish(twin_messages.marker_array(shapes, stamp))
+        self._markers.publish(markers(shown, nearest, parameters, self._state.direction))
 
     # --- diagnostics ------------------------------------------------------------------------------
 
