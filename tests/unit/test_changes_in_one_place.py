@@ -259,7 +259,6 @@ def test_a_cause_of_the_twin_is_a_row_of_the_table(tmp_path):
             down=EventCode("stick_down", "less dry friction", "dry friction has decreased", "power"),
             size=0.5,
             unit="N",
-            scale=1.0,
             description="dry friction of the rear module changed by {}",
             hint="dirt",
             trials=((0.2, 0.5, 1.0),),

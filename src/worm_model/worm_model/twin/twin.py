@@ -284,7 +284,7 @@ class _Call:
 
     def _warn(self, stamp: int, text: str, code: str) -> None:
         m = self.state.record
-        if self._unusable and code != CLOCK_JUMP.code:
+        if self._unusable:
             return
         cycle = int(m["cycle"]) if m["cycle_end_ns"] else 0
         self.events.append(Event(stamp, Severity.WARNING, text, code, cycle, int(m["run"])))
@@ -379,7 +379,6 @@ class _Call:
             findings, not_judged = self._judge(cycle)
             for finding in findings:
                 self._follow(finding, stamp, gait)
-        if not self._unusable:
             self.complete_states()
             state.margins = state.positions.margins(gait, parameters, int(m["start_ns"]), number)
         self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
