@@ -243,38 +243,3 @@ def test_the_example_of_the_page_runs(processes: Processes, probe: Probe, ros_do
     )
     assert done.returncode == 0, done.stderr
     assert re.search(r"^3\.46 mm/s, \d grooves in 10 s$", done.stdout, re.MULTILINE)
-
-
-def resident_kilobytes(pid: int) -> int:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
-
-
-@pytest.mark.night
-def test_bad_messages_and_many_of_them_leave_the_node_as_it_was(processes: Processes, probe: Probe):
-    states = probe.collect(TwinState, "twin/state")
-    process = processes.start_node("worm_model", "twin_node")
-    robot = Robot(probe)
-    play(robot, probe, states, end=0.4)
-    bad = [
-        ("body_length/commanded", BodyLength(length_change=math.nan)),
-        ("body_length/commanded", BodyLength(length_change=-70.0)),
-        ("body_length/measured", BodyLength(length=math.inf)),
-        ("tracker", Tracker(rear_position=math.nan, front_position=math.nan)),
-        ("power", Power(power=math.nan)),
-        ("gait_state", GaitState(state=99)),
-    ]
-    memory = []
-    for k in range(41, 1641):
-        topic, message = bad[k % len(bad)]
-        robot.send(topic, k / 100, message)
-        robot.move(k / 100)
-        if k % 20 == 0:
-            stamp = ONSET + round((k - BEHIND) * 1e7)
-            probe.wait_for(lambda s=stamp: reached(states, s), f"state at {k / 100} s")
-        if k % 200 == 0:
-            memory.append(resident_kilobytes(process.pid))
-    assert all(math.isfinite(state.rear_position) for state in states)
-    assert states[-1].energy > 0.0
-    assert memory[-1] - memory[2] < 4000
-    assert process.exit_code is None
