@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -30,13 +29,11 @@ from worm_model.twin.data.samples import (
     VALUES,
     SampleKind,
 )
-from worm_model.twin.forecast import Forecast
 from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import PARAMETER_FILE, TwinSettings
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import (
     BodyLength,
-    GaitPrediction,
     GaitState,
     Power,
     Tracker,
@@ -45,7 +42,6 @@ from worm_msgs.msg import (
     TwinResiduals,
     TwinState,
 )
-from worm_msgs.msg import Gait as GaitMessage
 
 
 def time_message(stamp_ns: int) -> Time:
@@ -178,31 +174,6 @@ def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
     for name in names:
         setattr(message, name, row[name].item())
     return message
-
-
-# fields of a prediction that only the optimizer computes
-_OF_OPTIMIZER = (
-    *("stroke_to_lower_edge", "stroke_to_upper_edge"),
-    *("success_probability", "success_probability_any_phase"),
-)
-
-
-def fill_forecast(response: Any, prediction: Forecast) -> Any:
-    """Fill the response of PredictGait with a forecast, and return it."""
-    names = ("speed", "power", "cost_of_transport", "grooves_per_cycle")
-    response.success = True
-    response.prediction = GaitPrediction(
-        gait=GaitMessage(**dataclasses.asdict(prediction.robust.gait)),
-        groove_phase=prediction.groove_phase,
-        **{name: getattr(prediction.robust, name) for name in names},
-        **{f"nominal_{name}": getattr(prediction.nominal, name) for name in names},
-        **dict.fromkeys(_OF_OPTIMIZER, math.nan),
-    )
-    for name in ("time", "rear_position", "front_position", "power"):
-        setattr(response, name, getattr(prediction, name).tolist())
-    response.energy = prediction.energy
-    response.grooves = prediction.grooves
-    return response
 
 
 # --- settings ----------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 """Digital twin as a ROS node: receives samples, advances the twin and publishes its output.
 
 The node polls its subscriptions every ``POLL_S``, because a callback of the executor costs about 0.2 ms of Python per
-message. A SingleThreadedExecutor handles parameters, services and timers. The delay by polling hardly matters, because
+message. A SingleThreadedExecutor handles parameters and timers. The delay by polling hardly matters, because
 the twin processes samples only when they are older than ``delay_s``.
 """
 
@@ -26,17 +26,12 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from worm_model.errors import InputError
-from worm_model.gait import (
-    GaitError,
-    gait_of,
-)
 from worm_model.nodes import twin_messages
 from worm_model.nodes.twin_markers import markers
 from worm_model.parameters import ParameterError
 from worm_model.twin import warm_up
 from worm_model.twin.data.records import Event, Severity, StateRecord
 from worm_model.twin.data.samples import SAMPLE, SampleKind
-from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import LOST_S, PositionSample
 from worm_model.twin.stored_memory import is_due, stored_memory
 from worm_model.twin.twin import Output, Twin
@@ -52,7 +47,6 @@ from worm_msgs.ros_process import (
     exiting_on_signal,
     freeze_garbage_collection,
 )
-from worm_msgs.srv import PredictGait
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -109,7 +103,6 @@ class TwinNode(Node):
         # Monotonic times of the last input and of the last state.
         self._received = self._moved = time.monotonic()
         self._sightings: deque[PositionSample] = deque([PositionSample()], maxlen=SIGHTINGS)
-        self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self.create_timer(MARKER_PERIOD_S, self._publish_markers, clock=steady)
@@ -214,18 +207,7 @@ class TwinNode(Node):
         """Use the new parameters from the next sample on, with the present state of the twin."""
         self._twin = self._make_twin()
 
-    # --- forecast and markers -------------------------------------------------------------------
-
-    def _predict(
-        self, request: PredictGait.Request, response: PredictGait.Response
-    ) -> PredictGait.Response:
-        try:
-            gait = gait_of(request.gait)
-            prediction = forecast(self._twin, self._state, gait, request.horizon)
-        except (GaitError, ForecastError) as error:
-            response.success, response.message = False, str(error)
-            return response
-        return twin_messages.fill_forecast(response, prediction)
+    # --- markers -------------------------------------------------------------------
 
     def _publish_markers(self) -> None:
         # While the twin does not advance, no markers are published, so that the previous markers expire.

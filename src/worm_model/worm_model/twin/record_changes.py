@@ -39,13 +39,6 @@ def store_driver_state(m: Any, driver: DriverState) -> None:
         m["reported_cycle"] = driver.cycle
 
 
-def turn_fins(m: Any) -> None:
-    """Let the driver begin to rest and turn the fins now."""
-    m["rest_ns"] = m["processed_ns"]
-    if m["pulling"]:
-        m["released_ns"] = m["processed_ns"]
-
-
 def begin_run(
     memory: Memory,
     driver: DriverState,
