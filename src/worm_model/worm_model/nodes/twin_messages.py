@@ -102,8 +102,7 @@ def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
     ``warnings`` contains the texts of the warnings by number.
     """
     message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
-    if message.health > TwinResiduals.HEALTHY:
-        message.message = residual_message(row, warnings)
+    message.message = residual_message(row, warnings)
     return message
 
 

@@ -121,9 +121,6 @@ class History:
         slight: True if the last cycle had a small step of the camera that was not reported.
         doubt: True if the robot was probably not healthy in the last cycle, but no cause was certain.
         doubted: True if this doubt was reported.
-        missed: number of missed grooves according to the tracker.
-        extra: number of additional grooves according to the tracker.
-        missed_by_power: number of missed grooves according to power alone.
     """
 
     cycles: tuple[CycleData, ...] = ()
@@ -133,9 +130,6 @@ class History:
     slight: bool = False
     doubt: bool = False
     doubted: bool = False
-    missed: int = 0
-    extra: int = 0
-    missed_by_power: int = 0
 
 
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
@@ -327,14 +321,7 @@ def _settle(
         finding = _again(finding, history.reported, gained, cycle.predicted)
     cause = causes.ReportedCause(name, cycle.number, gained=gained)
     reported = (*history.reported, cause)[-REMEMBERED:]
-    history = replace(history, slight=False, reported=reported)
-    if name and not usual:
-        history = replace(
-            history,
-            missed=history.missed + max(-gained, 0),
-            extra=history.extra + max(gained, 0),
-        )
-    return history, finding
+    return replace(history, slight=False, reported=reported), finding
 
 
 def _again(
@@ -475,13 +462,7 @@ def _length(
         initial_length=after,
         explains_position=True,
     )
-    unplaced = History(
-        unplaced=True,
-        missed=history.missed,
-        extra=history.extra,
-        missed_by_power=history.missed_by_power,
-    )
-    return unplaced, finding
+    return History(unplaced=True), finding
 
 
 # --- causes that the data show without a step ----------------------------------------------------------
@@ -543,8 +524,6 @@ def _grooves_by_power(
                 finding = replace(finding, silent=True)
             else:
                 finding = _again(finding, history.reported, gained, cycle.predicted)
-                count = history.missed_by_power + (best != GAINED)
-                history = replace(history, missed_by_power=count)
             findings.append(finding)
             cause = causes.ReportedCause(_NAMES[best], cycle.number, gained=gained)
             history = replace(history, reported=(*history.reported, cause)[-REMEMBERED:])

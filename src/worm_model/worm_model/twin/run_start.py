@@ -31,11 +31,10 @@ from worm_model.run import PLAYING, SAME_ONSET_NS, is_another_run
 from worm_model.simulation.actuation import length_change_of_command, resting_change
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
-from worm_model.twin import record_changes
-from worm_model.twin.core.memory import NANOSECONDS, REST_S, Memory
+from worm_model.twin.core.memory import NANOSECONDS, POSITION, REST_S, Memory
 from worm_model.twin.data.samples import DriverState, SampleKind
 from worm_model.twin.start_estimate import Start
-from worm_msgs.gait import FORWARD, Gait
+from worm_msgs.gait import FORWARD, WAVEFORM, Gait
 
 # A twin that joins a run at most this long after the onset does not report the delay.
 LATE_S = 0.02
@@ -87,23 +86,39 @@ def begin_run(
     Returns:
         Stamp (ns) from which the twin follows the run, and a message.
     """
-    text, standing = _stand(memory, driver, parameters, starts.get(driver.onset_ns))
-    start, gait = max(driver.onset_ns, int(memory.record[0]["processed_ns"])), driver.gait
+    text = _stand(memory, driver, parameters, starts.get(driver.onset_ns))
+    m: Any = memory.record[0]
+    start, gait = max(driver.onset_ns, int(m["processed_ns"])), driver.gait
     late = (start - driver.onset_ns) / NANOSECONDS
-    command, cycle, known = 0.0, 0, standing["origin_known"]
+    m["command"], m["cycle"], m["cycle_end_ns"] = 0.0, 0, 0
+    m["has_gait"] = gait is not None
+    m["run"], m["start_ns"], m["end_ns"] = driver.run, driver.onset_ns, 0
     if gait is not None:
-        command = float(gait.command(0.0))
-        cycle = math.floor(late * gait.frequency + 1e-9) + 1
+        for name in WAVEFORM:
+            m[name] = getattr(gait, name)
+        m["command"] = gait.command(0.0)
+        m["cycle"] = math.floor(late * gait.frequency + 1e-9) + 1
+        m["cycle_end_ns"] = end_of_cycle(m, gait)
         if late > 0.0:
-            command, length_change = _joined(gait, late, parameters)
-            standing |= {"answer": length_change}
+            m["command"], m["answer"] = _joined(gait, late, parameters)
     if late > LATE_S:
         text += f"; its onset was {late:.2f} s ago, so the twin joins at the present phase of the command"
-        known = known and cycle <= 1
+        m["origin_known"] = m["origin_known"] and m["cycle"] <= 1
     if late > 0.0:
-        standing |= {"origin_known": known, "start_known": standing["start_known"] and known}
-    record_changes.begin_run(memory, driver, standing, start, command, cycle)
+        m["start_known"] = m["start_known"] and m["origin_known"]
+    m["engaged"], m["command_ns"], m["cycle_groove"] = 1, start, 0
+    m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
+    m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start, math.nan, 0.0
+    memory.sums[:] = 0.0
+    m["edge_slack"] = 0.0
+    # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
+    m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
     return start, text
+
+
+def end_of_cycle(m: Any, gait: Gait) -> int:
+    """Return the end (ns) of the present cycle of a gait; ``m`` is the record of the memory."""
+    return int(m["start_ns"]) + round(int(m["cycle"]) * gait.period * NANOSECONDS)
 
 
 def _stand(
@@ -111,12 +126,9 @@ def _stand(
     driver: DriverState,
     parameters: Parameters,
     start: Start | None,
-) -> tuple[str, dict[str, Any]]:
-    """Return a message, and the fields of the record for L0, pose and origin of a run at its onset.
-
-    They follow from the samples at rest before the onset.
-    """
-    m = memory.record[0]
+) -> str:
+    """Set L0, pose and origin of a run at its onset, from the samples at rest before it; return a message."""
+    m: Any = memory.record[0]
     rest = _at_rest(memory, driver.onset_ns)
     pulled = 0.0 if driver.gait is None else resting_change(driver.gait, parameters)
     length, position = rest.length - pulled, rest.position
@@ -161,18 +173,12 @@ def _stand(
         free = _unstressed(parameters.replace(initial_length=initial_length), direction, pulled)
         stands, known = start or free, start is not None
         place = _Place(stands.x1, stands.front_groove, anchor - stands.x1)
-    return text, {
-        "direction": direction,
-        "answer": tightened,
-        "initial_length": initial_length,
-        "length_seen": tracked,
-        "length_fitted": fitted,
-        "pose_x1": place.x1,
-        "pose_front": place.front_groove,
-        "origin": place.anchor,
-        "origin_known": bool(m["origin_known"]) or math.isfinite(position),
-        "start_known": known,
-    }
+    m["direction"], m["answer"], m["initial_length"] = direction, tightened, initial_length
+    m["length_seen"], m["length_fitted"] = tracked, fitted
+    m["pose_x1"], m["pose_front"], m["origin"] = place.x1, place.front_groove, place.anchor
+    m["origin_known"] = bool(m["origin_known"]) or math.isfinite(position)
+    m["start_known"] = known
+    return text
 
 
 def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:

@@ -83,9 +83,6 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> TwinReport:
         ("length_source", LengthSource(int(m["source"])).name.lower() if m["moving"] else "none"),
         ("run", "running" if state.is_running else "none"),
         ("initial_length_m", f"{state.initial_length:.5f}"),
-        ("grooves_missed", str(state.history.missed)),
-        ("grooves_missed_by_power", str(state.history.missed_by_power)),
-        ("grooves_gained", str(state.history.extra)),
     ]
     values += [
         (f"samples_{name.replace(' ', '_')}", str(count)) for name, count in state.counts.items()
