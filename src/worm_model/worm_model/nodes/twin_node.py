@@ -21,7 +21,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
@@ -60,11 +60,7 @@ SIGHTINGS = 100  # stored samples of the tracker: 3 s of a camera at 30 Hz
 BURST = 200  # queue length of publishers that publish many messages per poll after a stall of the machine
 DEPTH = 1000  # queue length of each subscription except gait_state
 
-_LATCHED = QoSProfile(
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+_LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LEVELS = {
     Severity.INFO: DiagnosticStatus.OK,
     Severity.WARNING: DiagnosticStatus.WARN,
@@ -230,7 +226,7 @@ class TwinNode(Node):
             name=f"{robot}/twin: model".lstrip("/"),
             hardware_id=robot,
             message=diagnosis.message,
-            values=[KeyValue(key=key, value=value) for key, value in diagnosis.values],
+            values=[KeyValue(key=key, value=value) for key, value in diagnosis.values.items()],
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -57,9 +57,10 @@ from worm_model.twin.cycle_data import (
     without_step,
 )
 from worm_model.twin.edges import Edge, edge_of, edge_of_body
-from worm_model.twin.findings import Finding, count_of_grooves, list_of_candidates
 from worm_model.twin.signatures import BINS, Signatures, signatures
 
+#: code of plain information
+INFORMATION = EventCode("", "", "", "")
 NO_STEP = EventCode("", "no step at all", "", "")
 
 REMEMBERED = 6  # cycles
@@ -130,6 +131,38 @@ class History:
     slight: bool = False
     doubt: bool = False
     doubted: bool = False
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of the diagnosis, and how the twin adapts to it.
+
+    Attributes:
+        cycle: number of the cycle to which the result refers.
+        description: message for the operator, without the cycle.
+        code: code of the event.
+        probability: probability of the cause, NaN if not computed.
+        grooves: grooves along +x by which the twin moves its anchors.
+        shift: shift of the twin's origin in the tracker's frame, m.
+        initial_length: new L0, m; NaN if L0 stays.
+        explains_position: True if the result explains the earlier position residuals, which then no longer count.
+        silent: True if the twin adapts without an event.
+    """
+
+    cycle: int
+    description: str
+    code: EventCode = INFORMATION
+    probability: float = math.nan
+    grooves: int = 0
+    shift: float = 0.0
+    initial_length: float = math.nan
+    explains_position: bool = False
+    silent: bool = False
+
+    @property
+    def text(self) -> str:
+        """Message for the operator."""
+        return f"cycle {self.cycle}: {self.description}"
 
 
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
@@ -279,7 +312,7 @@ def _place(
         return unknown, data, []
     where = "further" if grooves * cycle.gait.direction > 0 else "less far"
     text = (
-        f"no data for {history.blind_s:.1f} s; afterwards the robot is {count_of_grooves(grooves)} {where} than "
+        f"no data for {history.blind_s:.1f} s; afterwards the robot is {_count_of_grooves(grooves)} {where} than "
         f"predicted (position {1e3 * size:+.1f} mm off); the twin corrects its anchors"
     )
     return (
@@ -348,7 +381,7 @@ def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) ->
     missed = sum(shares[code] for code in (MISSED_REAR, MISSED_FRONT, MISSED))
     grooves = _whole(step.size, cycle)
     gained = grooves * cycle.gait.direction
-    number, since_s = count_of_grooves(gained), step.phase * cycle.gait.period
+    number, since_s = _count_of_grooves(gained), step.phase * cycle.gait.period
     when = f"(position {1e3 * step.size:+.1f} mm off, beginning {since_s:.1f} s into the cycle)"
     corrects = "; the twin corrects its anchors"
     if missed >= SURE:
@@ -360,7 +393,7 @@ def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) ->
         likely[MISSED.phrase] = missed
         likely = {phrase: share for phrase, share in likely.items() if share > LIKELY}
         best, probability = AMBIGUOUS, max(likely.values())
-        text = f"the cause is ambiguous: {list_of_candidates(likely)} {when}"
+        text = f"the cause is ambiguous: {_list_of_candidates(likely)} {when}"
         text += corrects if grooves else ""
     elif best == GAINED:
         text = f"the robot gained {number} too many {when}{corrects}"
@@ -575,6 +608,20 @@ def _doubt(number: int, weighed: Sequence[causes.Candidate], total: float) -> li
     elif len(likely) < 2:
         return []
     else:
-        candidates = list_of_candidates({code.phrase: share for code, share in likely.items()})
+        candidates = _list_of_candidates({code.phrase: share for code, share in likely.items()})
         text = f"the cause is ambiguous: {candidates}"
     return [Finding(number, text, AMBIGUOUS, max(likely.values()))]
+
+
+# --- phrases ---------------------------------------------------------------------------------------
+
+
+def _count_of_grooves(gained: int) -> str:
+    """Return a number of grooves as a phrase, without its sign."""
+    return "a groove" if abs(gained) == 1 else f"{abs(gained)} grooves"
+
+
+def _list_of_candidates(shares: Mapping[str, float]) -> str:
+    """Return a list of phrases with their probabilities, the most probable first, separated by "or"."""
+    ordered = sorted(shares, key=lambda phrase: -shares[phrase])
+    return " or ".join(f"{phrase} ({100 * shares[phrase]:.0f} %)" for phrase in ordered)

@@ -41,6 +41,7 @@ from worm_model.twin.data.records import Event, Severity
 from worm_model.twin.data.samples import DriverState, SampleRows, driver_state_of
 from worm_model.twin.diagnosis import (
     CycleSeen,
+    Finding,
     History,
     edges_of,
     explains,
@@ -48,7 +49,6 @@ from worm_model.twin.diagnosis import (
     off_at_end,
 )
 from worm_model.twin.edges import Edge, edge_of
-from worm_model.twin.findings import Finding
 from worm_model.twin.run_margins import NO_MARGINS, RunPositions
 from worm_model.twin.run_start import begin_run, end_of_cycle, is_new_run
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
