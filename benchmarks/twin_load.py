@@ -19,13 +19,11 @@ from worm_model.gait import Gait
 from worm_msgs.msg import BodyLength, GaitState, TwinState
 from worm_msgs.msg import Gait as GaitMessage
 from worm_msgs.ros_process import freeze_garbage_collection
-from worm_msgs.srv import PredictGait
 from worm_optimizer.operation.processes import ProcessGroup, executable_command, wait_for
 
 TITLE = "twin node: share of a core and latency with lengths at 1 kHz"
 RATE_HZ = 1000
 DURATION_S = 10.0
-FORECASTS = 50
 GAIT = Gait(0.07, 0.2)
 CAMERA_LENGTH_M = 0.2952
 
@@ -40,13 +38,12 @@ class Source:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._gait = self.node.create_publisher(GaitState, "gait_state", latched)
         self._states = self.node.create_subscription(TwinState, "twin/state", lambda _: None, 1000)
-        self._predict = self.node.create_client(PredictGait, "predict_gait")
         self.latencies: list[float] = []
 
     def ready(self) -> bool:
         """True if the twin is in the graph."""
         connected = self._lengths.get_subscription_count() and self._gait.get_subscription_count()
-        return bool(connected and self._predict.service_is_ready())
+        return bool(connected)
 
     def begin(self) -> int:
         """Begin a gait now and return the stamp of its onset in ns."""
@@ -66,18 +63,6 @@ class Source:
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
         self._lengths.publish(message)
 
-    def predict(self, horizon: float) -> float:
-        """Return the time (s) from the request of a forecast over a horizon (s) to its response."""
-        request = PredictGait.Request(horizon=horizon)
-        request.gait = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
-        asked = time.monotonic()
-        future = self._predict.call_async(request)
-        rclpy.spin_until_future_complete(self.node, future, timeout_sec=10.0)
-        answer = future.result()
-        if answer is None or not answer.success:
-            raise RuntimeError("no forecast")
-        return time.monotonic() - asked
-
     def listen(self) -> None:
         """Process the states that have arrived."""
         handle: Any = self._states.handle
@@ -95,22 +80,20 @@ def processor_time(pid: int) -> float:
 
 @dataclass(frozen=True)
 class Load:
-    """Share of a core, and latencies of the states and of forecasts by horizon, in s."""
+    """Share of a core, and latencies of the states in s."""
 
     share: float
     latencies: np.ndarray
-    forecasts: dict[float, np.ndarray]
 
 
 def measure(topic: str) -> Load:
-    """Measure the twin with lengths on a topic, and forecasts after they have ended."""
+    """Measure the twin with lengths on a topic."""
     with tempfile.TemporaryDirectory() as folder, ProcessGroup(Path(folder)) as group:
         command = [*executable_command("worm_model", "twin_node"), "--ros-args"]
         process = group.start("twin", [*command, "-r", "__ns:=/worm"])
         source = Source(topic)
         if not wait_for(source.ready, 120.0):
             raise RuntimeError(f"the twin did not start: {process.last_line()}")
-        source.predict(10.0)  # when it answers, its start is over
         freeze_garbage_collection()  # of the source, which would pass for the twin's
         onset = source.begin()
         started, used = time.monotonic(), processor_time(process.pid)
@@ -122,12 +105,8 @@ def measure(topic: str) -> Load:
             source.listen()
             time.sleep(0.0003)
         share = (processor_time(process.pid) - used) / DURATION_S
-        forecasts = {
-            horizon: np.array([source.predict(horizon) for _ in range(FORECASTS)])
-            for horizon in (10.0, 120.0)
-        }
         source.node.destroy_node()
-        return Load(share, np.array(source.latencies), forecasts)
+        return Load(share, np.array(source.latencies))
 
 
 def run() -> list[Row]:
@@ -143,15 +122,6 @@ def run() -> list[Row]:
             how = f"{len(latency)} states of {int(RATE_HZ * DURATION_S)} lengths"
             rows.append(Row(f"core, {topic}", f"{100 * share:.1f} %", "< 7 %", how))
             rows.append(Row(f"latency, {topic}", f"p99 {p99:.2f} ms", "-", f"median {p50:.2f} ms"))
-        rows += [
-            Row(
-                f"predict_gait, {horizon:g} s ahead",
-                f"median {1e3 * np.median(taken):.1f} ms",
-                "-",
-                f"longest of {FORECASTS} {1e3 * taken.max():.1f} ms",
-            )
-            for horizon, taken in load.forecasts.items()
-        ]
     finally:
         rclpy.try_shutdown()
     return rows

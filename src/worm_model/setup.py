@@ -23,7 +23,6 @@ EXECUTABLES: list[str] = [  # "executable = module:function"
     "twin_node = worm_model.nodes.executables:twin_node",
     "health = worm_model.commands.health:main",
     "margin = worm_model.commands.margin:main",
-    "watch = worm_model.nodes.executables:watch",
 ]
 NEEDED = [
     "worm_msgs",

@@ -3,7 +3,7 @@
 
 colcon builds this package with CMake, by package.xml. The other packages have one setup.py for colcon and pip. colcon
 runs it, and `ros2 run` finds each executable as a script in lib/NAME (setup.cfg). pip builds wheels through
-`setuptools.build_meta`. It would put the scripts into bin, where names such as `watch` hide other programs. So a wheel
+`setuptools.build_meta`. It would put the scripts into bin, where names such as `record` hide other programs. So a wheel
 lists its executables in the entry point group worm.commands, and the only script, `worm`, runs them. pip builds in the
 source tree; a temporary folder receives what it would leave there.
 

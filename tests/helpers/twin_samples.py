@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,40 +32,41 @@ def at(time: float) -> int:
 
 
 @dataclass(frozen=True)
-class CommandedLength:
+class _Instrument:
+    """Sample with a stamp and the values of its kind."""
+
+    kind: ClassVar[SampleKind]
     stamp_ns: int
+
+    def row(self) -> tuple:
+        stamp, *values = astuple(self)
+        none = (0.0,) * (len(VALUES) - len(values))
+        return (stamp, self.kind, 0, 0, 0, 0, stamp, *values, *none)
+
+
+@dataclass(frozen=True)
+class CommandedLength(_Instrument):
+    kind = SampleKind.COMMAND
     length_change: float
 
-    def row(self) -> tuple:
-        return _row(self.stamp_ns, SampleKind.COMMAND, self.length_change)
-
 
 @dataclass(frozen=True)
-class MeasuredLength:
-    stamp_ns: int
+class MeasuredLength(_Instrument):
+    kind = SampleKind.LENGTH
     length: float
 
-    def row(self) -> tuple:
-        return _row(self.stamp_ns, SampleKind.LENGTH, self.length)
-
 
 @dataclass(frozen=True)
-class TrackerSample:
-    stamp_ns: int
+class TrackerSample(_Instrument):
+    kind = SampleKind.POSITION
     rear_position: float
     front_position: float
 
-    def row(self) -> tuple:
-        return _row(self.stamp_ns, SampleKind.POSITION, self.rear_position, self.front_position)
-
 
 @dataclass(frozen=True)
-class PowerSample:
-    stamp_ns: int
+class PowerSample(_Instrument):
+    kind = SampleKind.POWER
     power: float
-
-    def row(self) -> tuple:
-        return _row(self.stamp_ns, SampleKind.POWER, self.power)
 
 
 class GaitSample(DriverState):
@@ -75,11 +77,7 @@ class GaitSample(DriverState):
         return (self.stamp_ns, SampleKind.GAIT, *head, *gait)
 
 
-Sample = CommandedLength | MeasuredLength | TrackerSample | PowerSample | GaitSample
-
-
-def _row(stamp: int, kind: SampleKind, a: float, b: float = 0.0) -> tuple:
-    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, *(0.0,) * (len(VALUES) - 2))
+Sample = _Instrument | GaitSample
 
 
 def rows_of(samples: Sequence[Sample]) -> np.ndarray:

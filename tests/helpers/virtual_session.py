@@ -23,6 +23,7 @@ from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
 from worm_model.gait import Gait
 from worm_model.run import Activity, Run
+from worm_model.twin.core.memory import LOOK_AHEAD_NS
 from worm_model.twin.data.records import Event
 from worm_model.twin.data.samples import SAMPLE, VALUES, SampleKind
 from worm_model.twin.stored_memory import is_due, stored_memory
@@ -222,7 +223,7 @@ def live_twin(rows: np.ndarray, twin: Twin | None = None, many: int = 9) -> Live
         outputs.append(twin.advance(state, rows[k : k + many]))
         if is_due(state, stored_ns):
             stored_ns = int(state.record["processed_ns"])
-            memories.append((stored_ns, stored_memory(twin, state)))
+            memories.append((stored_ns, stored_memory(twin.parameters, state)))
     outputs.append(twin.advance(state, rows[:0], to_the_end=True))
     return Live(
         np.concatenate([output.states for output in outputs]),
@@ -239,7 +240,7 @@ def recording(
     """Return a recording from ``begin_ns`` to ``end_ns``: its samples, preceded by the latched messages."""
     latched = rows[(rows["kind"] == SampleKind.GAIT) & (rows["stamp"] < begin_ns)][-1:]
     part = rows[(rows["stamp"] >= begin_ns) & (rows["stamp"] <= end_ns)]
-    delay = round((DEFAULTS.delay_s + DEFAULTS.measured_stale_s) * 1e9)
+    delay = round(DEFAULTS.delay_s * 1e9) + LOOK_AHEAD_NS
     earlier = [memory for memory in memories if memory[0] + delay < begin_ns][-1:]
     later = [memory for memory in memories if begin_ns <= memory[0] + delay <= end_ns]
     return run_of_rows(np.concatenate([latched, part]), [*earlier, *later])

@@ -229,7 +229,6 @@ def wait(probe: Probe, condition: Callable[[], bool], what: Callable[[], list[st
 def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
     worm: VirtualWorm, graph: Probe
 ):
-    worm.processes.start_node("worm_model", "watch")
     people: list[Rights] = []  # names of the operator in each cycle of its gait
     gait = PlayedGait(stroke=0.03, frequency=0.4)
     with operator(worm.system.namespace, lambda: None) as person:
@@ -243,7 +242,6 @@ def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
         found += lacking(graph, "twin", "twin", "/clock|/worm/tf")
         found += lacking(graph, "optimizer", "optimizer", "/clock")
         found += lacking(graph, "recorder", "recorder", "/rosout|/worm/(emergency_stop|tf)")
-        found += lacking(graph, "recorder", "watch")
         found += [
             f"operator may not {kind} {access} {name}"
             for (kind, access), names in people[-1].items()

@@ -156,7 +156,7 @@ with open_bag(Path("new")) as bag:
     again = read_run(bag)
 with open_bag(Path(OLD)) as bag:
     old = read_run(bag)
-rows = rows_of_run(again, 10**9)
+rows = rows_of_run(again)
 Path("gaits.csv").write_text("stroke_m,frequency_Hz,ripple_share\\n0.07,0.2,0.4\\n")
 overrides, table = evaluate_table(read_gaits("gaits.csv"), PAPER)
 write_table(Path("out.csv"), table, overrides, PAPER)
@@ -259,7 +259,6 @@ def test_a_cause_of_the_twin_is_a_row_of_the_table(tmp_path):
             down=EventCode("stick_down", "less dry friction", "dry friction has decreased", "power"),
             size=0.5,
             unit="N",
-            scale=1.0,
             description="dry friction of the rear module changed by {}",
             hint="dirt",
             trials=((0.2, 0.5, 1.0),),

@@ -53,7 +53,6 @@ ELSEWHERE = {
     ("worm_model", "record"): "tests/integration/test_record.py",
     ("worm_driver", "virtual_robot"): "tests/integration/test_virtual_robot.py",
     ("worm_model", "twin_node"): "tests/integration/test_twin_node.py",
-    ("worm_model", "watch"): "tests/integration/test_watch.py",
     ("worm_optimizer", "start"): "tests/integration/test_start.py",
     ("worm_optimizer", "operate"): "tests/integration/test_operate.py",
     ("worm_optimizer", "tune"): "tests/unit/worm_optimizer/commands/test_tune.py",

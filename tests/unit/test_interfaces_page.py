@@ -13,7 +13,7 @@ from interfaces_page import PAGE, ROOT, rows_of
 from worm_driver.nodes import driver_parameters
 from worm_driver.tracking import tracker_setup
 from worm_model.twin import twin_settings
-from worm_model.twin.twin_settings import DEFAULTS
+from worm_model.twin.core.estimator import PERIOD_NS
 from worm_optimizer.search import search_settings
 
 GENERATOR = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/generate_interfaces.py")))
@@ -36,7 +36,7 @@ def test_a_part_that_is_out_of_date_is_generated_again():
 
 
 def test_the_twins_greatest_rate_is_the_pages():
-    rate = 1.0 / DEFAULTS.output_period_s
+    rate = 1e9 / PERIOD_NS
     assert rows_of("Topics")["twin/state"][2] == f"with the length, at most {rate:.0f} Hz"
 
 

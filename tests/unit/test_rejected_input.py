@@ -117,7 +117,6 @@ RECORD = "worm_model record"
 TRACKER_NODE = "worm_driver tracker_node"
 TWIN_NODE = "worm_model twin_node"
 VIRTUAL_ROBOT = "worm_driver virtual_robot"
-WATCH = "worm_model watch"
 SHORT = "--stroke 0.03 --frequency 0.4"
 LIGHT = "-p scan_highest_m:=0.004 -p scan_step_m:=0.001 -p samples:=20"
 BAD_WITH_ROS = [
@@ -174,7 +173,6 @@ BAD_WITH_ROS = [
     (VIRTUAL_ROBOT, "--directory r --tether nan", "tether_n"),
     (VIRTUAL_ROBOT, "--directory /proc/robot", "choose another --directory"),
     (VIRTUAL_ROBOT, "--directory r -p frobnicate:=1", "no parameter frobnicate"),
-    (WATCH, "-p frobnicate:=1", "no parameter frobnicate"),
 ]
 
 

@@ -25,7 +25,6 @@ from worm_model.twin.data.samples import NO_SAMPLES, SampleKind, SampleRows
 from worm_model.twin.offline_replay import Replay, Series
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.twin import ClosedCycle, Output
-from worm_model.twin.twin_settings import DEFAULTS
 
 #: the position at a stamp is interpolated from the samples whose stamps differ from it by at most this
 NEAR_NS = 1_000_000_000
@@ -109,7 +108,7 @@ class ReplayReport:
 
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     """Return the report on the replay of a run; ``pitch`` is that of the grooves, m."""
-    samples = RecordedSamples(lambda: (run,), round(DEFAULTS.jump_back_s * 1e9))
+    samples = RecordedSamples(lambda: (run,))
     reporter = ReplayReporter(samples, pitch)
     rows = np.concatenate([NO_SAMPLES, *samples.rows()])
     states: Any = replay.states

@@ -40,7 +40,7 @@ from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_model.run import LengthSource, Stamps
 from worm_model.text_table import labelled, text_table
-from worm_model.twin.data.records import NANOSECONDS, RESIDUAL_FIELDS, Event
+from worm_model.twin.data.records import NANOSECONDS, RESIDUAL_FIELDS, Event, residual_message
 
 if TYPE_CHECKING:
     from worm_model.analysis.replay_metrics import CycleReport, ReplayReport, RunReport
@@ -107,8 +107,6 @@ def twin_columns(
 
     Numbers and texts contain one entry for each field of the message: an array, a list, or a constant.
     """
-    from worm_model.twin.twin import residual_messages
-
     if name == "twin/events":
         events = output.events
         numbers: dict[str, Any] = {
@@ -133,7 +131,9 @@ def twin_columns(
     return (
         np.ascontiguousarray(series["stamp_ns"]),
         numbers,
-        {"message": residual_messages(output)} if name == "twin/residuals" else {},
+        {"message": [residual_message(row, output.warnings) for row in series]}
+        if name == "twin/residuals"
+        else {},
     )
 
 

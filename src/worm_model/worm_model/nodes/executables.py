@@ -11,4 +11,3 @@ twin_node = node(
     "worm_model.twin.twin_settings",
     "worm_model.nodes.twin_node",
 )
-watch = deferred("worm_model.nodes.watch_node")

@@ -3,30 +3,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import (
-    Point,
-    Pose,
-    Quaternion,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
+from geometry_msgs.msg import Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Header
 
 from worm_model.loads import under
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import nanoseconds
-from worm_model.twin import scene
 from worm_model.twin.data.records import (
     NANOSECONDS,
     RESIDUAL_FIELDS,
@@ -39,12 +29,11 @@ from worm_model.twin.data.samples import (
     VALUES,
     SampleKind,
 )
-from worm_model.twin.forecast import Forecast
+from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import PARAMETER_FILE, TwinSettings
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import (
     BodyLength,
-    GaitPrediction,
     GaitState,
     Power,
     Tracker,
@@ -53,7 +42,6 @@ from worm_msgs.msg import (
     TwinResiduals,
     TwinState,
 )
-from worm_msgs.msg import Gait as GaitMessage
 
 
 def time_message(stamp_ns: int) -> Time:
@@ -104,7 +92,7 @@ _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
 def state_message(row: Any) -> TwinState:
     """Return the TwinState of a row of `twin.data.records.STATE_ROW`."""
     message = _filled(TwinState(), row, _STATE)
-    message.header.frame_id = scene.FRAME
+    message.header.frame_id = FRAME
     return message
 
 
@@ -114,8 +102,7 @@ def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
     ``warnings`` contains the texts of the warnings by number.
     """
     message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
-    if message.health > TwinResiduals.HEALTHY:
-        message.message = residual_message(row, warnings)
+    message.message = residual_message(row, warnings)
     return message
 
 
@@ -188,31 +175,6 @@ def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
     return message
 
 
-# fields of a prediction that only the optimizer computes
-_OF_OPTIMIZER = (
-    *("stroke_to_lower_edge", "stroke_to_upper_edge"),
-    *("success_probability", "success_probability_any_phase"),
-)
-
-
-def fill_forecast(response: Any, prediction: Forecast) -> Any:
-    """Fill the response of PredictGait with a forecast, and return it."""
-    names = ("speed", "power", "cost_of_transport", "grooves_per_cycle")
-    response.success = True
-    response.prediction = GaitPrediction(
-        gait=GaitMessage(**dataclasses.asdict(prediction.robust.gait)),
-        groove_phase=prediction.groove_phase,
-        **{name: getattr(prediction.robust, name) for name in names},
-        **{f"nominal_{name}": getattr(prediction.nominal, name) for name in names},
-        **dict.fromkeys(_OF_OPTIMIZER, math.nan),
-    )
-    for name in ("time", "rear_position", "front_position", "power"):
-        setattr(response, name, getattr(prediction, name).tolist())
-    response.energy = prediction.energy
-    response.grooves = prediction.grooves
-    return response
-
-
 # --- settings ----------------------------------------------------------------------------------------
 
 
@@ -228,41 +190,4 @@ def robot_of(value: Callable[[str], Any]) -> Parameters:
 
 def settings_of(node: Any) -> TwinSettings:
     """Return the settings of the twin from the ROS parameters of a node."""
-    names = [row.name for row in dataclasses.fields(TwinSettings)]
-    return TwinSettings(**{name: node.get_parameter(name).value for name in names})
-
-
-# --- conversion of the scene to markers ----------------------------------------------------
-
-_MARKER_TYPES = {
-    scene.ShapeKind.BOX: Marker.CUBE,
-    scene.ShapeKind.BOXES: Marker.CUBE_LIST,
-    scene.ShapeKind.CYLINDER: Marker.CYLINDER,
-}
-_UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
-_ALONG_X = Quaternion(x=0.0, y=math.sqrt(0.5), z=0.0, w=math.sqrt(0.5))
-_MARKER_LIFETIME_S = 1  # time after which a marker disappears if it is not published again
-
-
-def marker_array(shapes: Sequence[scene.Shape], stamp: Time) -> MarkerArray:
-    """Return one marker per shape. Each has its own namespace, so that viewers can hide single shapes."""
-    return MarkerArray(markers=[_marker(shape, stamp) for shape in shapes])
-
-
-def _marker(shape: scene.Shape, stamp: Time) -> Marker:
-    red, green, blue, opacity = shape.colour
-    marker = Marker(
-        header=Header(stamp=stamp, frame_id=scene.FRAME),
-        ns=shape.name,
-        id=0,
-        type=_MARKER_TYPES[shape.kind],
-        action=Marker.ADD,
-        scale=Vector3(**dict(zip("xyz", shape.size, strict=True))),
-        color=ColorRGBA(r=red, g=green, b=blue, a=opacity),
-        points=[Point(x=x, y=y, z=z) for x, y, z in shape.points],
-    )
-    x, y, z = shape.position
-    turn = _ALONG_X if shape.kind is scene.ShapeKind.CYLINDER else _UPRIGHT
-    marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=turn)
-    marker.lifetime.sec = _MARKER_LIFETIME_S
-    return marker
+    return TwinSettings(*(node.get_parameter(name).value for name in TwinSettings._fields))

@@ -2,7 +2,7 @@
 """Digital twin as a ROS node: receives samples, advances the twin and publishes its output.
 
 The node polls its subscriptions every ``POLL_S``, because a callback of the executor costs about 0.2 ms of Python per
-message. A SingleThreadedExecutor handles parameters, services and timers. The delay by polling hardly matters, because
+message. A SingleThreadedExecutor handles parameters and timers. The delay by polling hardly matters, because
 the twin processes samples only when they are older than ``delay_s``.
 """
 
@@ -21,22 +21,18 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from worm_model.errors import InputError
-from worm_model.gait import (
-    GaitError,
-    gait_of,
-)
 from worm_model.nodes import twin_messages
+from worm_model.nodes.twin_markers import markers
 from worm_model.parameters import ParameterError
 from worm_model.twin import warm_up
 from worm_model.twin.data.records import Event, Severity, StateRecord
 from worm_model.twin.data.samples import SAMPLE, SampleKind
-from worm_model.twin.forecast import ForecastError, forecast
-from worm_model.twin.scene import LOST_S, PositionSample, scene
+from worm_model.twin.scene import LOST_S, PositionSample
 from worm_model.twin.stored_memory import is_due, stored_memory
 from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_settings import PUBLISH_TF, rows
@@ -51,7 +47,6 @@ from worm_msgs.ros_process import (
     exiting_on_signal,
     freeze_garbage_collection,
 )
-from worm_msgs.srv import PredictGait
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -65,11 +60,7 @@ SIGHTINGS = 100  # stored samples of the tracker: 3 s of a camera at 30 Hz
 BURST = 200  # queue length of publishers that publish many messages per poll after a stall of the machine
 DEPTH = 1000  # queue length of each subscription except gait_state
 
-_LATCHED = QoSProfile(
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+_LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LEVELS = {
     Severity.INFO: DiagnosticStatus.OK,
     Severity.WARNING: DiagnosticStatus.WARN,
@@ -108,7 +99,6 @@ class TwinNode(Node):
         # Monotonic times of the last input and of the last state.
         self._received = self._moved = time.monotonic()
         self._sightings: deque[PositionSample] = deque([PositionSample()], maxlen=SIGHTINGS)
-        self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self.create_timer(MARKER_PERIOD_S, self._publish_markers, clock=steady)
@@ -129,7 +119,7 @@ class TwinNode(Node):
         self._publish(output)
         if is_due(self._state, self._stored_ns):
             self._stored_ns = int(self._state.record["processed_ns"])
-            content = stored_memory(self._twin, self._state)
+            content = stored_memory(self._twin.parameters, self._state)
             self._memories.publish(twin_messages.memory_message(self._stored_ns, content))
         if len(output.states):
             self._shown, self._moved = output.states[-1].copy(), self._received
@@ -213,18 +203,7 @@ class TwinNode(Node):
         """Use the new parameters from the next sample on, with the present state of the twin."""
         self._twin = self._make_twin()
 
-    # --- forecast and markers -------------------------------------------------------------------
-
-    def _predict(
-        self, request: PredictGait.Request, response: PredictGait.Response
-    ) -> PredictGait.Response:
-        try:
-            gait = gait_of(request.gait)
-            prediction = forecast(self._twin, self._state, gait, request.horizon)
-        except (GaitError, ForecastError) as error:
-            response.success, response.message = False, str(error)
-            return response
-        return twin_messages.fill_forecast(response, prediction)
+    # --- markers -------------------------------------------------------------------
 
     def _publish_markers(self) -> None:
         # While the twin does not advance, no markers are published, so that the previous markers expire.
@@ -235,9 +214,7 @@ class TwinNode(Node):
         shown = StateRecord(*self._shown.item())
         # The twin lags behind. The robot is shown at the measured position whose stamp is nearest to the twin's.
         nearest = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
-        shapes = scene(shown, nearest, parameters, self._state.direction)
-        stamp = twin_messages.time_message(shown.stamp_ns)
-        self._markers.publish(twin_messages.marker_array(shapes, stamp))
+        self._markers.publish(markers(shown, nearest, parameters, self._state.direction))
 
     # --- diagnostics ------------------------------------------------------------------------------
 
@@ -249,7 +226,7 @@ class TwinNode(Node):
             name=f"{robot}/twin: model".lstrip("/"),
             hardware_id=robot,
             message=diagnosis.message,
-            values=[KeyValue(key=key, value=value) for key, value in diagnosis.values],
+            values=[KeyValue(key=key, value=value) for key, value in diagnosis.values.items()],
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -130,6 +130,10 @@ AMBIGUOUS = EventCode(
 )
 
 
+# factors from relative or SI values to the units in messages
+_UNITS = {"%": 100.0, "mm": 1e3, "N": 1.0, "W": 1.0}
+
+
 class Effect(enum.Enum):
     """Kind of change that a lasting cause makes to the model."""
 
@@ -152,7 +156,6 @@ class Cause:
         down: code of a decrease.
         size: usual size of the change, relative or in the SI unit.
         unit: unit in messages.
-        scale: factor from relative or SI values to the unit in messages.
         description: description of the change, with ``{}`` for its size.
         hint: possible explanation; empty if the code is sufficient.
         trials: sizes that the benchmark simulates, relative or in the SI unit; each row is (small, middle, large).
@@ -167,7 +170,6 @@ class Cause:
     down: EventCode
     size: float
     unit: str
-    scale: float
     description: str
     hint: str
     trials: tuple[tuple[float, float, float], ...]
@@ -178,6 +180,11 @@ class Cause:
     def least(self) -> float:
         """Lowest possible change, as a multiple of ``size``: a relative change makes no parameter negative."""
         return -1.0 / self.size if self.effect is Effect.RELATIVE else -math.inf
+
+    @property
+    def scale(self) -> float:
+        """Factor from relative or SI values to the unit in messages."""
+        return _UNITS[self.unit]
 
     def code(self, size: float) -> EventCode:
         """Return the code of a change: an increase or, for a negative size, a decrease."""
@@ -204,7 +211,6 @@ LASTING = {
             down=CABLE_SLIP,
             size=0.05,
             unit="%",
-            scale=100.0,
             description="the gain from command to body length changed by {}",
             hint="a cable that slips, is slack or stretched",
             trials=((-0.01, -0.03, -0.06),),
@@ -216,7 +222,6 @@ LASTING = {
             down=FRICTION_DOWN,
             size=0.5,
             unit="%",
-            scale=100.0,
             description="friction changed by {}",
             hint="",
             trials=((0.5, 1.0, 2.0), (-0.3, -0.6, -0.8)),
@@ -228,7 +233,6 @@ LASTING = {
             down=LOAD_DOWN,
             size=2.0,
             unit="N",
-            scale=1.0,
             description="the load on the rear module changed by {}",
             hint="tether",
             alone="a slipped cable",
@@ -242,7 +246,6 @@ LASTING = {
             down=LOAD_DOWN,
             size=2.0,
             unit="N",
-            scale=1.0,
             description="the load on both modules together changed by {}",
             hint="slope of the pipe, or flow",
             alone="a slipped cable",
@@ -256,7 +259,6 @@ LASTING = {
             down=CABLE_SLIP,
             size=0.005,
             unit="mm",
-            scale=1e3,
             description="the body is longer under the same command by {}",
             hint="a cable that slips, is slack or stretched",
             trials=((0.001, 0.003, 0.006),),
@@ -268,7 +270,6 @@ LASTING = {
             down=POWER_SCALE,
             size=0.1,
             unit="%",
-            scale=100.0,
             description="the gain of the power measurement changed by {}",
             hint="supply or shunt",
             trials=((0.04, 0.10, 0.20),),
@@ -280,7 +281,6 @@ LASTING = {
             down=POWER_OFFSET,
             size=0.6,
             unit="W",
-            scale=1.0,
             description="the offset of the power measurement changed by {}",
             hint="power sensor, or another consumer on the supply",
             trials=((0.1, 0.3, 0.6),),

@@ -19,7 +19,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,15 +57,10 @@ from worm_model.twin.cycle_data import (
     without_step,
 )
 from worm_model.twin.edges import Edge, edge_of, edge_of_body
-from worm_model.twin.findings import (
-    INFORMATION,
-    Finding,
-    Sentence,
-    count_of_grooves,
-    list_of_candidates,
-)
 from worm_model.twin.signatures import BINS, Signatures, signatures
 
+#: code of plain information
+INFORMATION = EventCode("", "", "", "")
 NO_STEP = EventCode("", "no step at all", "", "")
 
 REMEMBERED = 6  # cycles
@@ -87,11 +81,6 @@ SLIGHT_M = 0.005  # a smaller step of the camera is reported only if it lasts fo
 # Names of causes in the history; a step without a name is not attributed to a fin.
 _NAMES = {MISSED: "missed", MISSED_REAR: "missed", MISSED_FRONT: "missed", GAINED: "gained"}
 _FINS = {MISSED_REAR: " with the rear fin", MISSED_FRONT: " with the front fin"}
-_SENTENCES = {
-    GAINED: Sentence.GROOVES_GAINED,
-    ROBOT_MOVED: Sentence.ROBOT_MOVED,
-    CAMERA_MOVED: Sentence.CAMERA_MOVED,
-}
 
 
 @dataclass(frozen=True)
@@ -133,9 +122,6 @@ class History:
         slight: True if the last cycle had a small step of the camera that was not reported.
         doubt: True if the robot was probably not healthy in the last cycle, but no cause was certain.
         doubted: True if this doubt was reported.
-        missed: number of missed grooves according to the tracker.
-        extra: number of additional grooves according to the tracker.
-        missed_by_power: number of missed grooves according to power alone.
     """
 
     cycles: tuple[CycleData, ...] = ()
@@ -145,9 +131,38 @@ class History:
     slight: bool = False
     doubt: bool = False
     doubted: bool = False
-    missed: int = 0
-    extra: int = 0
-    missed_by_power: int = 0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of the diagnosis, and how the twin adapts to it.
+
+    Attributes:
+        cycle: number of the cycle to which the result refers.
+        description: message for the operator, without the cycle.
+        code: code of the event.
+        probability: probability of the cause, NaN if not computed.
+        grooves: grooves along +x by which the twin moves its anchors.
+        shift: shift of the twin's origin in the tracker's frame, m.
+        initial_length: new L0, m; NaN if L0 stays.
+        explains_position: True if the result explains the earlier position residuals, which then no longer count.
+        silent: True if the twin adapts without an event.
+    """
+
+    cycle: int
+    description: str
+    code: EventCode = INFORMATION
+    probability: float = math.nan
+    grooves: int = 0
+    shift: float = 0.0
+    initial_length: float = math.nan
+    explains_position: bool = False
+    silent: bool = False
+
+    @property
+    def text(self) -> str:
+        """Message for the operator."""
+        return f"cycle {self.cycle}: {self.description}"
 
 
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
@@ -210,9 +225,12 @@ def _first(data: CycleData) -> tuple[CycleData, list[Finding]]:
     """
     if not data.is_misfit:
         return data, []
-    facts = {"ratio": max(data.error)}
+    text = (
+        f"the parameters do not describe this robot: its residuals are up to {max(data.error):.0f} times the usual "
+        "ones, and no single cause explains them; the twin reports only changes after this cycle"
+    )
     unknown = replace(data, variance=np.full_like(data.variance, np.inf))
-    return unknown, [Finding(INFORMATION, Sentence.MISFIT, data.number, facts)]
+    return unknown, [Finding(data.number, text)]
 
 
 def edges_of(cycle: CycleSeen) -> tuple[Edge, Edge]:
@@ -287,31 +305,21 @@ def _place(
     if history.unplaced:
         if not cycle.joined and abs(size) <= STEP_M:
             return unknown, data, []
-        reset = Finding(
-            INFORMATION,
-            Sentence.POSITION_RESET,
-            cycle.number,
-            shift=size,
-            explains_position=True,
-        )
-        return unknown, data, [reset]
+        text = "the twin resets its position to the tracker's"
+        return unknown, data, [Finding(cycle.number, text, shift=size, explains_position=True)]
     grooves = _whole(size, cycle)
     if not grooves:
         return unknown, data, []
-    after = Finding(
-        GAP,
-        Sentence.AFTER_GAP,
-        cycle.number,
-        {
-            "blind_s": history.blind_s,
-            "grooves": count_of_grooves(grooves),
-            "where": "further" if grooves * cycle.gait.direction > 0 else "less far",
-            "off_mm": 1e3 * size,
-        },
-        grooves=grooves,
-        explains_position=True,
+    where = "further" if grooves * cycle.gait.direction > 0 else "less far"
+    text = (
+        f"no data for {history.blind_s:.1f} s; afterwards the robot is {_count_of_grooves(grooves)} {where} than "
+        f"predicted (position {1e3 * size:+.1f} mm off); the twin corrects its anchors"
     )
-    return unknown, data, [after]
+    return (
+        unknown,
+        data,
+        [Finding(cycle.number, text, GAP, grooves=grooves, explains_position=True)],
+    )
 
 
 def _whole(size: float, cycle: CycleSeen) -> int:
@@ -346,14 +354,7 @@ def _settle(
         finding = _again(finding, history.reported, gained, cycle.predicted)
     cause = causes.ReportedCause(name, cycle.number, gained=gained)
     reported = (*history.reported, cause)[-REMEMBERED:]
-    history = replace(history, slight=False, reported=reported)
-    if name and not usual:
-        history = replace(
-            history,
-            missed=history.missed + max(-gained, 0),
-            extra=history.extra + max(gained, 0),
-        )
-    return history, finding
+    return replace(history, slight=False, reported=reported), finding
 
 
 def _again(
@@ -366,13 +367,11 @@ def _again(
     same = {cause.cycle for cause in reported if cause.gained == gained}
     if finding.cycle - 1 not in same:
         return finding
-    facts = {"since": finding.cycle - 1, "gained": predicted + gained, "predicted": predicted}
-    return replace(
-        finding,
-        sentence=Sentence.GROOVES_AGAIN,
-        facts=facts,
-        silent=finding.cycle - 2 in same,
+    text = (
+        f"since cycle {finding.cycle - 1} the robot gains {predicted + gained} instead of {predicted} grooves per "
+        "cycle; the twin does not report further cycles like these"
     )
+    return replace(finding, description=text, silent=finding.cycle - 2 in same)
 
 
 def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) -> Finding:
@@ -382,32 +381,35 @@ def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) ->
     missed = sum(shares[code] for code in (MISSED_REAR, MISSED_FRONT, MISSED))
     grooves = _whole(step.size, cycle)
     gained = grooves * cycle.gait.direction
-    facts: dict[str, Any] = {
-        "grooves": count_of_grooves(gained),
-        "off_mm": 1e3 * step.size,
-        "since_s": step.phase * cycle.gait.period,
-    }
+    number, since_s = _count_of_grooves(gained), step.phase * cycle.gait.period
+    when = f"(position {1e3 * step.size:+.1f} mm off, beginning {since_s:.1f} s into the cycle)"
+    corrects = "; the twin corrects its anchors"
     if missed >= SURE:
         if probability < SURE:
             best, probability = MISSED, missed
-        sentence = Sentence.GROOVES_MISSED
-        facts["fin"] = _FINS.get(best, "")
+        text = f"the robot missed {number}{_FINS.get(best, '')} {when}{corrects}"
     elif probability < SURE:
         likely = {c.phrase: shares[c] for c in (ROBOT_MOVED, CAMERA_MOVED, GAINED, NO_STEP)}
         likely[MISSED.phrase] = missed
         likely = {phrase: share for phrase, share in likely.items() if share > LIKELY}
         best, probability = AMBIGUOUS, max(likely.values())
-        sentence = Sentence.STEP_AMBIGUOUS_MOVED if grooves else Sentence.STEP_AMBIGUOUS
-        facts["candidates"] = list_of_candidates(likely)
+        text = f"the cause is ambiguous: {_list_of_candidates(likely)} {when}"
+        text += corrects if grooves else ""
+    elif best == GAINED:
+        text = f"the robot gained {number} too many {when}{corrects}"
+    elif best == ROBOT_MOVED:
+        way = "along" if gained > 0 else "against"
+        text = f"the robot was moved by {number} {way} the direction of its gait {when}{corrects}"
     else:
-        sentence = _SENTENCES[best]
-        facts["way"] = "along" if gained > 0 else "against"
+        text = (
+            f"the camera was moved: its positions are {1e3 * step.size:+.1f} mm off, which is no whole number of "
+            "grooves; the twin shifts its origin"
+        )
     follows_camera = best == CAMERA_MOVED or not grooves
     return Finding(
-        best,
-        sentence,
         cycle.number,
-        facts,
+        text,
+        best,
         probability,
         grooves=0 if follows_camera else grooves,
         shift=step.size if follows_camera else 0.0,
@@ -481,22 +483,19 @@ def _length(
     best = max(lengths, key=lambda c: c.weight)
     before = cycle_seen.parameters.initial_length
     after = before + best.error
+    text = (
+        f"L0 is {1e3 * after:.1f} mm instead of {1e3 * before:.1f} mm, according to positions and power since the run "
+        "began"
+    )
     finding = Finding(
-        INITIAL_LENGTH,
-        Sentence.NEW_LENGTH,
         cycle_seen.number,
-        {"after_mm": 1e3 * after, "before_mm": 1e3 * before},
+        text,
+        INITIAL_LENGTH,
         share,
         initial_length=after,
         explains_position=True,
     )
-    unplaced = History(
-        unplaced=True,
-        missed=history.missed,
-        extra=history.extra,
-        missed_by_power=history.missed_by_power,
-    )
-    return unplaced, finding
+    return History(unplaced=True), finding
 
 
 # --- causes that the data show without a step ----------------------------------------------------------
@@ -551,15 +550,13 @@ def _grooves_by_power(
         best = max(shares, key=lambda code: shares[code])
         if max(missed, shares[GAINED]) >= SURE:
             best, share = (best, shares[best]) if shares[best] >= SURE else (MISSED, missed)
-            facts = {"cause": best.phrase, "percent": 100 * share}
-            finding = Finding(best, Sentence.BY_POWER, cycle.number, facts, share)
+            text = f"the power indicates {best.phrase} (probability {100 * share:.0f} %)"
+            finding = Finding(cycle.number, text, best, share)
             gained = 1 if best == GAINED else -1
             if cycle.at_edge(gained):
                 finding = replace(finding, silent=True)
             else:
                 finding = _again(finding, history.reported, gained, cycle.predicted)
-                count = history.missed_by_power + (best != GAINED)
-                history = replace(history, missed_by_power=count)
             findings.append(finding)
             cause = causes.ReportedCause(_NAMES[best], cycle.number, gained=gained)
             history = replace(history, reported=(*history.reported, cause)[-REMEMBERED:])
@@ -595,8 +592,8 @@ def _lasting(
     others = [LASTING[name].hint for name in sorted(shares) if shares[name] > LIKELY]
     others += [row.alone] if row.alone and not tracked else []
     change += f", or {' or '.join(others)}" if others else ""
-    facts = {"change": change, "percent": 100 * share}
-    return Finding(candidate.code, Sentence.LASTING, candidate.cycle, facts, share)
+    text = f"lasting change from this cycle on: {change} (probability {100 * share:.0f} %)"
+    return Finding(candidate.cycle, text, candidate.code, share)
 
 
 def _doubt(number: int, weighed: Sequence[causes.Candidate], total: float) -> list[Finding]:
@@ -607,10 +604,24 @@ def _doubt(number: int, weighed: Sequence[causes.Candidate], total: float) -> li
         number = max(
             (c for c in weighed if c.code == causes.UNEXPLAINED), key=lambda c: c.weight
         ).cycle
-        return [Finding(AMBIGUOUS, Sentence.UNEXPLAINED, number, {}, max(likely.values()))]
-    if len(likely) < 2:
+        text = "a deviation that no known cause explains"
+    elif len(likely) < 2:
         return []
-    facts = {
-        "candidates": list_of_candidates({code.phrase: share for code, share in likely.items()})
-    }
-    return [Finding(AMBIGUOUS, Sentence.CAUSES_AMBIGUOUS, number, facts, max(likely.values()))]
+    else:
+        candidates = _list_of_candidates({code.phrase: share for code, share in likely.items()})
+        text = f"the cause is ambiguous: {candidates}"
+    return [Finding(number, text, AMBIGUOUS, max(likely.values()))]
+
+
+# --- phrases ---------------------------------------------------------------------------------------
+
+
+def _count_of_grooves(gained: int) -> str:
+    """Return a number of grooves as a phrase, without its sign."""
+    return "a groove" if abs(gained) == 1 else f"{abs(gained)} grooves"
+
+
+def _list_of_candidates(shares: Mapping[str, float]) -> str:
+    """Return a list of phrases with their probabilities, the most probable first, separated by "or"."""
+    ordered = sorted(shares, key=lambda phrase: -shares[phrase])
+    return " or ".join(f"{phrase} ({100 * shares[phrase]:.0f} %)" for phrase in ordered)

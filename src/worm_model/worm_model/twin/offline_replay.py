@@ -22,7 +22,7 @@ from worm_model.twin.data.records import Event
 from worm_model.twin.data.samples import NO_SAMPLES, SampleRows
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.start_estimate import Start
-from worm_model.twin.stored_memory import memory_to_resume
+from worm_model.twin.stored_memory import add_past, memory_to_resume
 from worm_model.twin.twin import CLOCK_SET, FOREVER_NS, ClosedCycle, Output, Twin, TwinState
 
 # smallest number of impossible steps of the command that shows overlapping time spans
@@ -79,12 +79,12 @@ class OfflineReplay:
     """
 
     def __init__(self, parts: Callable[[], Iterable[Run]], parameters: Parameters) -> None:
-        self._twin = twin = Twin(parameters)
-        self.samples = RecordedSamples(parts, round(twin.settings.jump_back_s * 1e9))
+        self._twin = Twin(parameters)
+        self.samples = RecordedSamples(parts)
         states = self.samples.gait_state
         onsets = (int(states.onset[of].min()) for of in states.rows_of_runs())
         self._memory = memory_to_resume(
-            self.samples.memories, twin, min(onsets, default=FOREVER_NS)
+            self.samples.memories, parameters, min(onsets, default=FOREVER_NS)
         )
         self._starts: dict[int, Start] = {}
         self.unusable: Mapping[int, str] = {}
@@ -106,13 +106,18 @@ class OfflineReplay:
         """Yield the samples in parts, each part with the output of the twin."""
         twin, unusable = self._twin, unusable_runs(self.samples)
         state = TwinState(twin.start().memory, unusable=unusable, starts=dict(self._starts))
-        memory = self._memory
-        if memory is not None:
-            old = [rows[~memory.is_new(rows)] for rows in self.samples.rows(memory.stamp_ns)]
-            state.memory = memory.resume(twin, np.concatenate([NO_SAMPLES, *old]))
+        resumed_ns = -FOREVER_NS
+        if self._memory is not None:
+            resumed_ns = self._memory.stamp_ns
+            self._memory.resume(state.memory)
         for rows in self.samples.rows():
-            new = rows if memory is None else rows[memory.is_new(rows)]
-            yield rows, twin.advance(state, new)
+            new = np.flatnonzero(rows["stamp"] > resumed_ns)
+            first = int(new[0]) if new.size else len(rows)
+            if first:
+                add_past(state.memory, rows[:first])
+            if new.size:
+                resumed_ns = -FOREVER_NS  # a clock that goes back later is another matter
+            yield rows, twin.advance(state, rows[first:])
         yield NO_SAMPLES, twin.advance(state, NO_SAMPLES, to_the_end=True)
         self._starts = self._starts or state.starts
         self.unusable = state.unusable

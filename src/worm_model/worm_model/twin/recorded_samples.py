@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Stamps
 from worm_model.run import GaitStates, LengthSamples, Run, concatenated
-from worm_model.twin.data.samples import SAMPLE, SampleKind, SampleRows, series_of, topic_rows
+from worm_model.twin.core.sample_buffer import JUMP_BACK_NS
+from worm_model.twin.data.samples import NO_SAMPLES, SampleKind, SampleRows, topic_rows
 from worm_model.twin.stored_memory import NEAR_NS
 
 # m/s; faster changes of the command count as impossible. The gaits of the paper's box stay below 0.12 m/s.
@@ -20,23 +21,21 @@ _FOREVER = int(np.iinfo(np.int64).max)
 _Place = tuple[int, int]
 
 
-def rows_of_run(run: Run, jump_back_ns: int) -> SampleRows:
+def rows_of_run(run: Run) -> SampleRows:
     """Return all samples of a run for the twin, in the order of `RecordedSamples.rows`."""
-    samples = RecordedSamples(lambda: iter((run,)), jump_back_ns)
-    return np.concatenate([np.zeros(0, SAMPLE), *samples.rows()])
+    return np.concatenate([NO_SAMPLES, *RecordedSamples(lambda: (run,)).rows()])
 
 
 class RecordedSamples:
     """Samples of a recording, ordered by stamp, so that none is late.
 
-    If the stamps of a topic go back by more than ``jump_back_ns`` and stay there, the clock has jumped. All samples
+    If the stamps of a topic go back by more than `JUMP_BACK_NS` and stay there, the clock has jumped. All samples
     after the jump then follow all samples before the jump. Each call of `rows` reads the parts once, and so does the
     constructor (twice if the stamps of the command go back). `rows` keeps in memory one part, and those earlier samples
     that a sample of a later part may have to precede.
 
     Args:
         parts: returns the recording in parts, in the order of reception.
-        jump_back_ns: step back of the stamps, ns, above which the clock has jumped.
 
     Attributes:
         origin: smallest origin of the parts, ns; 0 without samples.
@@ -48,12 +47,13 @@ class RecordedSamples:
         clock_went_back: True if the clock has jumped back.
     """
 
-    def __init__(self, parts: Callable[[], Iterable[Run]], jump_back_ns: int) -> None:
+    def __init__(self, parts: Callable[[], Iterable[Run]]) -> None:
         self._parts = parts
         self._stretches: list[list[tuple[SampleKind, int, int]]] = []
         self.memories: list[tuple[int, str]] = []
         self.first_ns: int | None = None
-        jumps = {kind: _Jumps(jump_back_ns) for kind in SampleKind}
+        first_ns: dict[SampleKind, int] = {}
+        jumps = {kind: _Jumps() for kind in SampleKind}
         origins, states = [], []
         last_ns: dict[SampleKind, int] = {}
         steps = [np.zeros((0, 2), np.int64)]
@@ -62,17 +62,17 @@ class RecordedSamples:
             origins += [part.origin] if part.origin else []
             states.append(part.gait_state)
             self._stretches.append([])
-            for kind, series in series_of(part).items():
-                if len(series.stamp):
-                    found = jumps[kind].add(series.stamp)
-                    self._stretches[-1] += [(kind, *stretch) for stretch in found]
-                    if kind != SampleKind.GAIT:
-                        first = int(series.stamp.min())
-                        self.first_ns = (
-                            first if self.first_ns is None else min(first, self.first_ns)
-                        )
-                    if kind in (SampleKind.COMMAND, SampleKind.LENGTH, SampleKind.POSITION):
-                        last_ns[kind] = int(series.stamp[-1])
+            for kind, rows in topic_rows(part).items():
+                if not len(rows):
+                    continue
+                stamps = rows["stamp"]
+                found = jumps[kind].add(stamps)
+                self._stretches[-1] += [(kind, *stretch) for stretch in found]
+                if kind != SampleKind.GAIT:
+                    first_ns[kind] = min(int(stamps.min()), first_ns.get(kind, _FOREVER))
+                if kind in (SampleKind.COMMAND, SampleKind.LENGTH, SampleKind.POSITION):
+                    last_ns[kind] = int(stamps[-1])
+            self.first_ns = min(first_ns.values(), default=None)
             command = concatenated(LengthSamples, [_last_of(command), part.commanded])
             is_ordered &= not (np.diff(command.stamp) < 0).any()
             steps.append(_impossible_steps(command))
@@ -87,14 +87,10 @@ class RecordedSamples:
             steps = [_impossible_steps(command)]
         self.impossible_steps: NDArray[np.int64] = np.concatenate(steps)
 
-    def rows(self, until_ns: int = _FOREVER) -> Iterator[SampleRows]:
-        """Yield the samples in order, in blocks.
-
-        The iteration ends when all samples with stamps up to ``until_ns`` have been returned. If the clock has gone
-        back, all samples are returned.
-        """
+    def rows(self) -> Iterator[SampleRows]:
+        """Yield the samples in order, in blocks."""
         counts = dict.fromkeys(SampleKind, 0)
-        waiting, jumps = np.zeros(0, SAMPLE), np.zeros(0, np.int64)
+        waiting, jumps = NO_SAMPLES, np.zeros(0, np.int64)
         places = self._smallest_places()
         for part, (number, stamp) in zip(self._parts(), places, strict=True):
             for kind, rows in topic_rows(part).items():
@@ -107,8 +103,6 @@ class RecordedSamples:
             ready = (jumps < number) | ((jumps == number) & (waiting["stamp"] < stamp))
             yield waiting[ready]
             waiting, jumps = waiting[~ready], jumps[~ready]
-            if stamp > until_ns and not self.clock_went_back:
-                return
 
     def _smallest_places(self) -> list[_Place]:
         """Return for each part the smallest place of all samples in later parts."""
@@ -131,8 +125,7 @@ class RecordedSamples:
 class _Jumps:
     """Backward jumps of the clock in the stamps of a topic, which are added part by part."""
 
-    def __init__(self, jump_back_ns: int) -> None:
-        self._jump_back_ns = jump_back_ns
+    def __init__(self) -> None:
         self._count = 0
         self._newest = 0  # largest stamp before the tail
         self._tail: Stamps = np.zeros(0, np.int64)  # the last two stamps
@@ -143,10 +136,10 @@ class _Jumps:
         stamps = np.concatenate([self._tail, stamp])
         first = self._count - len(self._tail)
         newest = np.maximum.accumulate(np.append(self._newest, stamps))[1:]
-        back = np.flatnonzero(np.diff(stamps) < -self._jump_back_ns)
+        back = np.flatnonzero(np.diff(stamps) < -JUMP_BACK_NS)
         # After a single late sample, the stamps return to the newest. After a jump, they stay behind the newest.
         decided = back[back + 2 < len(stamps)]
-        stays = stamps[decided + 2] < newest[decided] - self._jump_back_ns
+        stays = stamps[decided + 2] < newest[decided] - JUMP_BACK_NS
         self._found += (first + decided[stays] + 1).tolist()
         borders = back + 1 - len(self._tail)
         borders = np.append(0, borders[borders > 0])
@@ -161,7 +154,7 @@ class _Jumps:
     def finish(self) -> NDArray[np.int64]:
         """Return the index of the first sample after each jump. All stamps must have been added before."""
         last = self._tail
-        if len(last) == 2 and last[1] - last[0] < -self._jump_back_ns:
+        if len(last) == 2 and last[1] - last[0] < -JUMP_BACK_NS:
             self._found.append(self._count - 1)
         return np.array(self._found, np.int64)
 

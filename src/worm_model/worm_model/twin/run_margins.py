@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from worm_model.margin.half_cycles import Fin
 from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.parameters import Parameters
 from worm_model.run import Run, TrackerSamples
+from worm_model.twin.data.records import StateRecord
 from worm_model.twin.data.samples import SampleKind, SampleRows
 from worm_msgs.gait import Gait
 
@@ -21,18 +20,17 @@ STORED = 6000  # largest number of stored samples: 200 s of a camera at 30 Hz
 MOST_CYCLES = 8  # that are measured together, so that a long run does not delay the twin
 
 
-@dataclass(frozen=True)
-class MarginRecord:
-    """Measured margins with the names and meanings of the fields of the message TwinState."""
-
-    margin_grooves: int = 0
-    rear_margin: float = math.nan
-    front_margin: float = math.nan
-    rear_margin_scatter: float = math.nan
-    front_margin_scatter: float = math.nan
-    last_rear_margin: float = math.nan
-    last_front_margin: float = math.nan
-    keeps_probability: float = math.nan
+#: margins before any is measured, by field of the message TwinState
+NO_MARGINS: dict[str, float] = {
+    "margin_grooves": 0,
+    "rear_margin": math.nan,
+    "front_margin": math.nan,
+    "rear_margin_scatter": math.nan,
+    "front_margin_scatter": math.nan,
+    "last_rear_margin": math.nan,
+    "last_front_margin": math.nan,
+    "keeps_probability": math.nan,
+}
 
 
 class RunPositions:
@@ -50,8 +48,8 @@ class RunPositions:
 
     def margins(
         self, gait: Gait, parameters: Parameters, onset_ns: int, cycles: int
-    ) -> MarginRecord:
-        """Return the margins at the end of a cycle of a run, from at most `MOST_CYCLES` cycles.
+    ) -> dict[str, float]:
+        """Return the margins at the end of a cycle of a run, from at most `MOST_CYCLES` cycles, as in `NO_MARGINS`.
 
         Later samples do not count, so that a replay has the same result as the live twin.
 
@@ -65,15 +63,15 @@ class RunPositions:
         start, end = (onset_ns + round(k * gait.period * 1e9) for k in (left_out, cycles))
         used = [sample for sample in self._samples if start <= sample[0] <= end]
         if not used:
-            return MarginRecord()
+            return NO_MARGINS
         stamp, rear, front = zip(*used, strict=True)
         tracker = TrackerSamples(np.array(stamp), np.array(rear), np.array(front))
         run = Run(tracker=tracker)
-        return _record(measure_cycles(run, gait, start, cycles - left_out, parameters))
+        return _values(measure_cycles(run, gait, start, cycles - left_out, parameters))
 
 
-def _record(run: RunMargin) -> MarginRecord:
-    values: dict[str, float] = {}
+def _values(run: RunMargin) -> dict[str, float]:
+    values = NO_MARGINS | {"margin_grooves": run.grooves}
     for fin in Fin:
         margin = run.margins(fin)[0]
         belief = run.beliefs.get(fin)
@@ -83,14 +81,11 @@ def _record(run: RunMargin) -> MarginRecord:
             values[f"{fin.value}_margin_scatter"] = belief.expected_scatter
     if run.least is not None:
         values["keeps_probability"] = math.prod(fin.chance for fin in run.beliefs.values())
-    return MarginRecord(margin_grooves=run.grooves, **values)
+    return values
 
 
-def spare_of(state: Any) -> str:
-    """Return the smaller margin of both fins in one line, empty if none was measured.
-
-    ``state`` has the fields of `MarginRecord`.
-    """
+def spare_of(state: StateRecord) -> str:
+    """Return the smaller margin of both fins in one line, empty if none was measured."""
     fins = (
         (state.rear_margin, state.rear_margin_scatter),
         (state.front_margin, state.front_margin_scatter),

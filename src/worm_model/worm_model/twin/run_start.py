@@ -3,7 +3,7 @@
 
 All samples before the onset have been processed when the run starts.
 
-- The position of the rear module is the mean of the tracker's positions during the last ``rest_s`` seconds.
+- The position of the rear module is the mean of the tracker's positions during the last `REST_S` seconds.
 - L0 is the mean length of the same time span: the measured body length or, without it, x2 − x1 of the tracker. If there
   is no plausible length, L0 is that of the previous run if it was measured or estimated, and otherwise the parameter.
 - The first run starts with straight fins, or with fins that only load and pretension deflect.
@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,13 +31,10 @@ from worm_model.run import PLAYING, SAME_ONSET_NS, is_another_run
 from worm_model.simulation.actuation import length_change_of_command, resting_change
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
-from worm_model.twin import record_changes
-from worm_model.twin.core.memory import NANOSECONDS, Memory
+from worm_model.twin.core.memory import NANOSECONDS, POSITION, REST_S, Memory
 from worm_model.twin.data.samples import DriverState, SampleKind
-from worm_model.twin.record_changes import Place, Standing
 from worm_model.twin.start_estimate import Start
-from worm_model.twin.twin_settings import TwinSettings
-from worm_msgs.gait import FORWARD, Gait
+from worm_msgs.gait import FORWARD, WAVEFORM, Gait
 
 # A twin that joins a run at most this long after the onset does not report the delay.
 LATE_S = 0.02
@@ -74,7 +70,6 @@ def begin_run(
     memory: Memory,
     driver: DriverState,
     parameters: Parameters,
-    settings: TwinSettings,
     starts: Mapping[int, Start],
 ) -> tuple[int, str]:
     """Initialize a run in the memory.
@@ -86,45 +81,55 @@ def begin_run(
         memory: the twin's memory, updated in place.
         driver: first driver state of the run.
         parameters: parameters of the robot.
-        settings: settings of the twin.
         starts: starts that are already known, by onset in ns.
 
     Returns:
         Stamp (ns) from which the twin follows the run, and a message.
     """
-    text, standing = _stand(memory, driver, parameters, settings, starts.get(driver.onset_ns))
-    start, gait = max(driver.onset_ns, int(memory.record[0]["processed_ns"])), driver.gait
+    text = _stand(memory, driver, parameters, starts.get(driver.onset_ns))
+    m: Any = memory.record[0]
+    start, gait = max(driver.onset_ns, int(m["processed_ns"])), driver.gait
     late = (start - driver.onset_ns) / NANOSECONDS
-    command, length_change, cycle = 0.0, standing.length_change, 0
+    m["command"], m["cycle"], m["cycle_end_ns"] = 0.0, 0, 0
+    m["has_gait"] = gait is not None
+    m["run"], m["start_ns"], m["end_ns"] = driver.run, driver.onset_ns, 0
     if gait is not None:
-        command = float(gait.command(0.0))
-        cycle = math.floor(late * gait.frequency + 1e-9) + 1
+        for name in WAVEFORM:
+            m[name] = getattr(gait, name)
+        m["command"] = gait.command(0.0)
+        m["cycle"] = math.floor(late * gait.frequency + 1e-9) + 1
+        m["cycle_end_ns"] = end_of_cycle(m, gait)
         if late > 0.0:
-            command, length_change = _joined(gait, late, parameters)
-    anchor_known = standing.anchor_known
+            m["command"], m["answer"] = _joined(gait, late, parameters)
     if late > LATE_S:
         text += f"; its onset was {late:.2f} s ago, so the twin joins at the present phase of the command"
-        anchor_known = anchor_known and cycle <= 1
-    standing = replace(
-        standing,
-        length_change=length_change,
-        anchor_known=anchor_known,
-        start_known=standing.start_known and (late <= 0.0 or anchor_known),
-    )
-    record_changes.begin_run(memory, driver, standing, start, command, cycle)
+        m["origin_known"] = m["origin_known"] and m["cycle"] <= 1
+    if late > 0.0:
+        m["start_known"] = m["start_known"] and m["origin_known"]
+    m["engaged"], m["command_ns"], m["cycle_groove"] = 1, start, 0
+    m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
+    m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start, math.nan, 0.0
+    memory.sums[:] = 0.0
+    m["edge_slack"] = 0.0
+    # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
+    m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
     return start, text
+
+
+def end_of_cycle(m: Any, gait: Gait) -> int:
+    """Return the end (ns) of the present cycle of a gait; ``m`` is the record of the memory."""
+    return int(m["start_ns"]) + round(int(m["cycle"]) * gait.period * NANOSECONDS)
 
 
 def _stand(
     memory: Memory,
     driver: DriverState,
     parameters: Parameters,
-    settings: TwinSettings,
     start: Start | None,
-) -> tuple[str, Standing]:
-    """Return a message, and L0, pose and origin of a run at its onset, from the samples at rest before it."""
-    m = memory.record[0]
-    rest = _at_rest(memory, driver.onset_ns, settings)
+) -> str:
+    """Set L0, pose and origin of a run at its onset, from the samples at rest before it; return a message."""
+    m: Any = memory.record[0]
+    rest = _at_rest(memory, driver.onset_ns)
     pulled = 0.0 if driver.gait is None else resting_change(driver.gait, parameters)
     length, position = rest.length - pulled, rest.position
     direction = FORWARD if driver.gait is None else driver.gait.direction
@@ -159,7 +164,7 @@ def _stand(
         off = place.off(position, parameters.pitch)
         known = off <= SURE_M
         if off <= TOLERANCE * parameters.pitch:
-            place = Place(place.x1, place.front_groove, position - place.x1)
+            place = _Place(place.x1, place.front_groove, position - place.x1)
         else:
             place = None
             text += "; the robot was moved since the previous run"
@@ -167,17 +172,13 @@ def _stand(
         anchor = float(m["origin"]) if math.isnan(position) else position
         free = _unstressed(parameters.replace(initial_length=initial_length), direction, pulled)
         stands, known = start or free, start is not None
-        place = Place(stands.x1, stands.front_groove, anchor - stands.x1)
-    return text, Standing(
-        direction=direction,
-        length_change=tightened,
-        initial_length=initial_length,
-        length_seen=tracked,
-        length_fitted=fitted,
-        place=place,
-        anchor_known=bool(m["origin_known"]) or math.isfinite(position),
-        start_known=known,
-    )
+        place = _Place(stands.x1, stands.front_groove, anchor - stands.x1)
+    m["direction"], m["answer"], m["initial_length"] = direction, tightened, initial_length
+    m["length_seen"], m["length_fitted"] = tracked, fitted
+    m["pose_x1"], m["pose_front"], m["origin"] = place.x1, place.front_groove, place.anchor
+    m["origin_known"] = bool(m["origin_known"]) or math.isfinite(position)
+    m["start_known"] = known
+    return text
 
 
 def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
@@ -221,6 +222,25 @@ def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:
     return change if coming_back else 0.0
 
 
+class _Place(NamedTuple):
+    """Place of a robot at rest.
+
+    Attributes:
+        x1: position of the rear module relative to its anchor, m.
+        front_groove: front anchor in grooves from the rear one.
+        anchor: position of the rear anchor in the tracker's frame, m.
+    """
+
+    x1: float
+    front_groove: int
+    anchor: float
+
+    def off(self, position: float, pitch: float) -> float:
+        """Return the distance (m) between a rear module at ``position`` (m) and this place, modulo the ``pitch``."""
+        off = position - (self.anchor + self.x1)
+        return abs(off - round(off / pitch) * pitch)
+
+
 class _Rest(NamedTuple):
     """Measurements of the robot at rest before an onset.
 
@@ -235,14 +255,14 @@ class _Rest(NamedTuple):
     position: float
 
 
-def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> _Rest:
+def _at_rest(memory: Memory, onset_ns: int) -> _Rest:
     """Return the measurements of the robot at rest before an onset; NaN where there are too few samples."""
     m = memory.record[0]
     if m["start_ns"] and not m["end_ns"]:
         return _Rest(math.nan, settled=False, position=math.nan)  # another gait has run until now
     rows = memory.rows[: int(m["place"])]
     last = onset_ns - GUARD_NS
-    first = max(last - round(settings.rest_s * NANOSECONDS), int(m["end_ns"]))
+    first = max(last - round(REST_S * NANOSECONDS), int(m["end_ns"]))
     rows = rows[(rows["stamp"] >= first) & (rows["stamp"] <= last)]
     lengths = rows["a"][rows["kind"] == SampleKind.LENGTH]
     tracker = rows[rows["kind"] == SampleKind.POSITION]
@@ -282,7 +302,7 @@ def _joined(gait: Gait, elapsed: float, parameters: Parameters) -> tuple[float, 
 
 def _left_behind(
     m: Any, parameters: Parameters, length: float, direction: int, turned_at: float
-) -> Place | None:
+) -> _Place | None:
     """Return the place where the previous run leaves the robot, or None if the place is unknown.
 
     Args:
@@ -312,7 +332,7 @@ def _left_behind(
             x1 = model.x1(model.settled(turned, length - parameters.initial_length))
     except SimulationError:
         return None
-    return Place(x1, front, float(m["origin"]) + grooves * parameters.pitch)
+    return _Place(x1, front, float(m["origin"]) + grooves * parameters.pitch)
 
 
 def motion_of(m: Any) -> LocomotionState:

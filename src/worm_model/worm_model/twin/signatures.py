@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import assert_never
 
 import numpy as np
@@ -30,6 +30,7 @@ SETTLED = 5  # cycles after which a gait repeats itself
 CYCLES = SETTLED + 3
 NEVER_M = 1.0  # margin with which a fin never switches
 EARLIER_M = (0.002, 0.005, 0.008, 0.012)  # tested reductions of the threshold for gained grooves
+GROOVES = {1: 2, 2: 3}  # row of a fin's grooves in the result of `_follow`
 SMALL = 0.2  # fraction of the usual size up to which the effect is assumed proportional to the size
 L0_STEP_M, L0_REACH = 0.0005, 0.5  # step (m) and largest value (pitches) of the tested errors of L0
 
@@ -189,18 +190,9 @@ class _Model:
                 return effect / step
         return np.zeros((CHANNELS, BINS))
 
-    def with_parameter(self, key: str, amount: float, step: float) -> tuple[Array, int]:
-        """Return the effect of a parameter changed by ``step * amount``, and the additional grooves per cycle."""
-        return self.change(**{key: getattr(self.parameters, key) + step * amount})
-
-    def with_both_loads(self, amount: float, step: float) -> tuple[Array, int]:
-        """Return the effect of a load ``step * amount`` (N), one half on each module, and the additional grooves."""
-        p, half = self.parameters, 0.5 * step * amount
-        return self.change(rear_load=p.rear_load + half, front_load=p.front_load + half)
-
-    def with_loose_cable(self, amount: float, step: float) -> tuple[Array, int]:
-        """Return the effect of a cable longer by ``step * amount`` (m), and the additional grooves per cycle."""
-        return self.change(np.minimum(self.commands + step * amount, 0.0))
+    def changed(self, key: str, amount: float) -> Callable[[float], tuple[Array, int]]:
+        """Return `change` as a function of a share of an ``amount`` that is added to a parameter."""
+        return lambda share: self.change(**{key: getattr(self.parameters, key) + share * amount})
 
 
 def _lasting(model: _Model, cause: Cause) -> Array:
@@ -216,29 +208,26 @@ def _lasting(model: _Model, cause: Cause) -> Array:
 
 def _change_of(model: _Model, cause: Cause) -> Callable[[float], tuple[Array, int]]:
     """Return a function of a size (a multiple of the usual one), which returns effect and additional grooves."""
+    p, on_power = model.parameters, np.zeros((CHANNELS, BINS))
     match cause.effect:
         case Effect.RELATIVE:
-            amount = cause.size * getattr(model.parameters, cause.name)
-            return partial(model.with_parameter, cause.name, amount)
+            return model.changed(cause.name, cause.size * getattr(p, cause.name))
         case Effect.ABSOLUTE:
-            return partial(model.with_parameter, cause.name, cause.size)
+            return model.changed(cause.name, cause.size)
         case Effect.BOTH_LOADS:
-            return partial(model.with_both_loads, cause.size)
+            half = 0.5 * cause.size
+            return lambda size: model.change(
+                rear_load=p.rear_load + size * half, front_load=p.front_load + size * half
+            )
         case Effect.LOOSE_CABLE:
-            return partial(model.with_loose_cable, cause.size)
+            return lambda size: model.change(np.minimum(model.commands + size * cause.size, 0.0))
         case Effect.POWER_SCALE:
-            return _on_power(cause.size * model.seen[POWER])
+            on_power[POWER] = cause.size * model.seen[POWER]
         case Effect.POWER_OFFSET:
-            return _on_power(np.full(BINS, cause.size))
+            on_power[POWER] = cause.size
         case _:
             assert_never(cause.effect)
-
-
-def _on_power(change: Array) -> Callable[[float], tuple[Array, int]]:
-    """Return a function as `_change_of` does, for a change (W), shape (BINS,), of the measured power alone."""
-    effect = np.zeros((CHANNELS, BINS))
-    effect[POWER] = change
-    return lambda size: (size * effect, 0)
+    return lambda size: (size * on_power, 0)
 
 
 def _healthy(model: _Model) -> dict[str, Array]:
@@ -247,9 +236,7 @@ def _healthy(model: _Model) -> dict[str, Array]:
         "initial_length": HEALTHY_SPREAD_L0_M / model.parameters.initial_length
     }
     return {
-        key: model.extrapolated(
-            partial(model.with_parameter, key, size * getattr(model.parameters, key))
-        )
+        key: model.extrapolated(model.changed(key, size * getattr(model.parameters, key)))
         for key, size in relative.items()
     }
 
@@ -293,12 +280,14 @@ def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | N
         usual = _follow(model, (0.0, 0.0), 0.0)
         if margin < 0.0:  # the lower threshold causes one switch after the last one, and no other
             begins += 1e-3
-            ends = _first_change(model, fin, usual, _follow(model, (begins, ends), margin), ends)
+            early = _follow(model, (begins, ends), margin)
+            differs = np.flatnonzero(early[GROOVES[fin]] != usual[GROOVES[fin]])
+            ends = float(model.times[differs[0]]) if differs.size else ends
         other = _follow(model, (begins, ends), margin)
     except (LoadError, SimulationError):
         return None
     pitch = parameters.pitch
-    x1, power = other.x1 - usual.x1, other.power - usual.power
+    x1, power = other[:2] - usual[:2]
     ends_at = gait.direction * np.round(x1.reshape(CYCLES, PHASES)[:, -1] / pitch).astype(int)
     behind = np.flatnonzero(ends_at == grooves)
     if not behind.size or ends_at[-1] != grooves:
@@ -333,25 +322,11 @@ def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float]
     return last - 1e-6, after - 1e-6
 
 
-@dataclass(frozen=True)
-class _Followed:
-    """Motion of a robot at the model's times: x1 (m), power (W), grooves of the rear and the front fin."""
+def _follow(model: _Model, window: tuple[float, float], margin: float) -> Array:
+    """Return x1 (m), power (W), rear and front groove at the model's times, shape (4, n).
 
-    x1: Array
-    power: Array
-    grooves: tuple[Array, Array]
-
-
-def _first_change(
-    model: _Model, fin: int, usual: _Followed, other: _Followed, default: float
-) -> float:
-    """Return the time (s) at which a fin's groove first differs from the usual one, or the default."""
-    differs = np.flatnonzero(other.grooves[fin - 1] != usual.grooves[fin - 1])
-    return float(model.times[differs[0]]) if differs.size else default
-
-
-def _follow(model: _Model, window: tuple[float, float], margin: float) -> _Followed:
-    """Return motion and power at the model's times, with another margin (m) in a time window (s)."""
+    In a time window (s) the margin (m) is another.
+    """
     times, length = model.times, model.length
     state = Locomotion(model.parameters, model.gait.direction).start()
     parts = []
@@ -364,5 +339,4 @@ def _follow(model: _Model, window: tuple[float, float], margin: float) -> _Follo
         state, m = robot.follow(state, asked, np.interp(asked, times, length))
         row = np.array([m.x1, m.power, m.rear_groove, m.front_groove])
         parts.append(row[:, : inside.size])
-    x1, power, rear, front = np.concatenate(parts, axis=1)
-    return _Followed(x1, power, (rear, front))
+    return np.concatenate(parts, axis=1)

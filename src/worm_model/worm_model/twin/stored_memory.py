@@ -3,12 +3,11 @@
 
 A gait leaves the fins deflected, and may leave the slack taken up. Without a tracker, no sample of the next recording
 shows this. The live twin therefore publishes its record once a second while no gait runs. The text is valid for one set
-of parameters and settings, which a digest identifies.
+of parameters, which it contains.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,14 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.twin.core.memory import MEMORY, NANOSECONDS, Memory
+from worm_model.parameters import Parameters
+from worm_model.twin.core.memory import MEMORY, NANOSECONDS, ROOM, Memory
 from worm_model.twin.data.samples import SampleKind, SampleRows
-from worm_model.twin.twin import Twin, TwinState
+from worm_model.twin.twin import TwinState
 
 AT_REST_NS = NANOSECONDS  # interval between stored memories
 # Largest distance between a memory and the first sample. A memory from longer ago may be older than another gait.
 NEAR_NS = 3 * NANOSECONDS
-# fields that are not stored: samples of this process, and the number of a warning without its text
+# fields that are not stored: samples and settings of this process, and the number of a warning without its text
 _NOT_STORED = frozenset(
     ("present", "old_in_a_row", "ahead", "filled", "place", "counts", "warning", "warned_until")
 )
@@ -42,16 +42,10 @@ def is_due(state: TwinState, stored_ns: int) -> bool:
     return apart and not state.is_running and not (waiting["kind"] == SampleKind.GAIT).any()
 
 
-def stored_memory(twin: Twin, state: TwinState) -> str:
-    """Return the memory as JSON."""
+def stored_memory(parameters: Parameters, state: TwinState) -> str:
+    """Return the memory of a twin with the given parameters as JSON."""
     record = {name: state.record[name].tolist() for name in _STORED}
-    return json.dumps({"holds_for": digest(twin), "record": record}, separators=(",", ":"))
-
-
-def digest(twin: Twin) -> str:
-    """Return the digest of a twin's parameters and settings, and of the names of the stored fields."""
-    content = json.dumps([asdict(twin.parameters), asdict(twin.settings), _STORED], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
+    return json.dumps({"parameters": asdict(parameters), "record": record}, separators=(",", ":"))
 
 
 @dataclass(frozen=True)
@@ -61,47 +55,46 @@ class StoredMemory:
     stamp_ns: int
     record: Mapping[str, Any]
 
-    def is_new(self, rows: SampleRows) -> np.ndarray:
-        """Return a mask (n,) of the samples whose effect the memory does not include."""
-        received = self.record["newest"][SampleKind.GAIT]
-        is_state = rows["kind"] == SampleKind.GAIT
-        return np.where(is_state, rows["sent"] > received, rows["stamp"] > self.stamp_ns)
-
-    def resume(self, twin: Twin, before: SampleRows) -> Memory:
-        """Return the core's memory at the stamp, given the recording's samples ``before`` it, in order of stamp."""
-        memory = twin.start().memory
+    def resume(self, memory: Memory) -> None:
+        """Continue from this memory."""
         m: Any = memory.record[0]
         for name in _STORED:
             m[name] = self.record[name]
         m["present"] = m["newest"][SampleKind.GAIT + 1 :] = self.stamp_ns
-        past = before[-len(memory.rows) // 2 :].copy()
-        past["c"] = np.nan  # the answer to the command at these samples is not known
-        memory.rows[: len(past)] = past
-        m["filled"] = m["place"] = len(past)
-        return memory
+
+
+def add_past(memory: Memory, samples: SampleRows) -> None:
+    """Add samples whose effect a resumed memory includes, in order of stamp; they show the robot at rest."""
+    m: Any = memory.record[0]
+    past = np.concatenate([memory.rows[: int(m["place"])], samples])[-ROOM // 2 :]
+    past["c"] = np.nan  # the answer to the command at these samples is not known
+    memory.rows[: len(past)] = past
+    m["filled"] = m["place"] = len(past)
 
 
 def memory_to_resume(
-    memories: Sequence[tuple[int, str]], twin: Twin, onset_ns: int
+    memories: Sequence[tuple[int, str]], parameters: Parameters, onset_ns: int
 ) -> StoredMemory | None:
     """Return the memory from which a replay resumes, or None if no memory is usable.
 
     Args:
         memories: stamp (ns) and text of the memories near the first sample of a recording.
-        twin: the twin of the replay.
+        parameters: parameters of the replay.
         onset_ns: onset of the first gait in ns.
     """
     for stamp_ns, text in sorted(memories, reverse=True):
-        record = _record(text, twin)
+        record = _record(text, parameters)
         if record is not None and stamp_ns <= onset_ns:
             return StoredMemory(stamp_ns, record)
     return None
 
 
-def _record(text: str, twin: Twin) -> Mapping[str, Any] | None:
-    """Return the record in a text; None if the text is invalid, or was stored with other parameters or settings."""
+def _record(text: str, parameters: Parameters) -> Mapping[str, Any] | None:
+    """Return the record in a text; None if the text is invalid, or was stored with other parameters or fields."""
     try:
         content = json.loads(text)
-        return dict(content["record"]) if content["holds_for"] == digest(twin) else None
+        record = dict(content["record"])
     except (ValueError, TypeError, KeyError):
         return None
+    same = content.get("parameters") == asdict(parameters) and record.keys() == {*_STORED}
+    return record if same else None

@@ -3,14 +3,14 @@
 
 `Twin.advance` processes the latest samples of the live robot, or the parts of a recording, with the same compiled core
 (`worm_model.twin.core`). It reads no clock and draws no random numbers. The result therefore does not depend on how the
-samples are divided into calls, or on the order in which the samples of the last ``delay_s`` arrive. This module handles
-the rare events: driver states, ends of cycles, jumps of the clock. To change parameters between two calls, pass the
-state to another `Twin`. L0 of the present run then stays as it is.
+samples are divided into calls, or on the order in which the samples of the last `TwinSettings.delay_s` arrive. This
+module handles the rare events: driver states, ends of cycles, jumps of the clock. To change parameters between two
+calls, pass the state to another `Twin`. L0 of the present run then stays as it is.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -24,23 +24,24 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
-from worm_model.twin import record_changes
 from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP, NEAR_EDGE
 from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
+    LOOK_AHEAD_NS,
     NANOSECONDS,
+    POSITION,
     VERDICTS,
     Memory,
     OutputRows,
-    Rules,
     gait_of_run,
     new_memory,
     new_rows,
 )
-from worm_model.twin.data.records import Event, Health, Severity, residual_message
-from worm_model.twin.data.samples import DriverState, SampleRows
+from worm_model.twin.data.records import Event, Severity
+from worm_model.twin.data.samples import DriverState, SampleRows, driver_state_of
 from worm_model.twin.diagnosis import (
     CycleSeen,
+    Finding,
     History,
     edges_of,
     explains,
@@ -48,10 +49,9 @@ from worm_model.twin.diagnosis import (
     off_at_end,
 )
 from worm_model.twin.edges import Edge, edge_of
-from worm_model.twin.findings import INFORMATION, Finding, Sentence
-from worm_model.twin.run_margins import MarginRecord, RunPositions
-from worm_model.twin.run_start import begin_run, is_new_run
-from worm_model.twin.start_estimate import Start, estimate_start
+from worm_model.twin.run_margins import NO_MARGINS, RunPositions
+from worm_model.twin.run_start import begin_run, end_of_cycle, is_new_run
+from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 from worm_msgs.gait import Gait
 
@@ -76,7 +76,7 @@ class TwinState:
         clock_set: True if the clock was set during a run and no run with a reported gait has begun since.
         starts: estimated starts, by onset in ns.
         positions: tracker samples from which the margins are measured.
-        margins: measured margins of the run.
+        margins: measured margins of the run, by field of the message TwinState.
     """
 
     memory: Memory
@@ -87,7 +87,7 @@ class TwinState:
     clock_set: bool = False
     starts: dict[int, Start] = field(default_factory=dict)
     positions: RunPositions = field(default_factory=RunPositions)
-    margins: MarginRecord = field(default_factory=MarginRecord)
+    margins: dict[str, float] = field(default_factory=lambda: NO_MARGINS)
 
     @property
     def record(self) -> Any:
@@ -164,14 +164,6 @@ class Output:
     cycles: tuple[ClosedCycle, ...] = ()
 
 
-def residual_messages(output: Output) -> list[str]:
-    """Return one message per residual, empty while the robot is healthy or the health is unknown."""
-    texts = [""] * len(output.residuals)
-    for row in np.flatnonzero(output.residuals["health"] > Health.HEALTHY).tolist():
-        texts[row] = residual_message(output.residuals[row], output.warnings)
-    return texts
-
-
 @dataclass(frozen=True)
 class Twin:
     """Twin of a robot with given parameters. The state is not part of it, but an argument of its methods."""
@@ -192,11 +184,13 @@ class Twin:
 
         With ``to_the_end`` no samples follow, so that all samples are processed at once.
         """
-        waiting = int(state.record["filled"]) - int(state.record["place"])
+        m = state.record
+        m["delay"] = round(self.settings.delay_s * NANOSECONDS)
+        m["usual_size"] = self.settings[1:]
+        waiting = int(m["filled"]) - int(m["place"])
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
         call = _Call(self, state, room)
-        rules = call.model()[0]
-        lag_ns = rules.delay + rules.look_ahead
+        lag_ns = int(m["delay"]) + LOOK_AHEAD_NS
         call.take(samples, lag_ns)
         call.process(-FOREVER_NS if to_the_end else lag_ns)
         call.complete_states()
@@ -222,10 +216,9 @@ class _Call:
     cycles: list[ClosedCycle] = field(default_factory=list)
     completed: int = 0  # number of states that contain the margins
 
-    def model(self) -> tuple[Rules, Constants, Actuator, np.void]:
-        """Return settings and parameters of the current run in the form that the core needs."""
-        parameters = self.twin.effective_parameters(self.state)
-        return _model(parameters, self.state.direction, self.twin.settings)
+    def model(self) -> tuple[Constants, Actuator, np.void]:
+        """Return the parameters of the current run in the form that the core needs."""
+        return _model(self.twin.effective_parameters(self.state), self.state.direction)
 
     def take(self, samples: SampleRows, lag_ns: int) -> None:
         """Add samples, and process all samples that are at least ``lag_ns`` older than the newest."""
@@ -243,7 +236,7 @@ class _Call:
     def complete_states(self) -> None:
         """Add the present margins to the states since the last call."""
         count = int(self.room.counts[0])
-        for name, value in asdict(self.state.margins).items():
+        for name, value in self.state.margins.items():
             self.room.states[name][self.completed : count] = value
         self.completed = count
 
@@ -251,8 +244,7 @@ class _Call:
         self.state.positions.add(samples)
         first = 0
         while first < len(samples):
-            rules = self.model()[0]
-            jump, first = sample_buffer.insert_all(self.state.memory, samples, first, rules)
+            jump, first = sample_buffer.insert_all(self.state.memory, samples, first)
             if jump != sample_buffer.NO_JUMP:
                 self.process(-FOREVER_NS)  # process all samples from before the jump
                 self._restart("back" if jump == sample_buffer.JUMPED_BACK else "ahead")
@@ -262,7 +254,9 @@ class _Call:
         """Handle the boundary at which the core has returned."""
         m = self.state.record
         if boundary == estimator.DRIVER_STATE:
-            self._apply(record_changes.next_driver_state(self.state.memory))
+            driver = driver_state_of(self.state.memory.rows[int(m["place"])])
+            m["place"] += 1
+            self._apply(driver)
         elif boundary == estimator.CYCLE_END:
             self._close_cycle(int(m["cycle_end_ns"]))
         elif boundary == estimator.UNANNOUNCED_RUN:
@@ -286,7 +280,7 @@ class _Call:
 
     def _warn(self, stamp: int, text: str, code: str) -> None:
         m = self.state.record
-        if self._unusable and code != CLOCK_JUMP.code:
+        if self._unusable:
             return
         cycle = int(m["cycle"]) if m["cycle_end_ns"] else 0
         self.events.append(Event(stamp, Severity.WARNING, text, code, cycle, int(m["run"])))
@@ -302,7 +296,11 @@ class _Call:
     def _apply(self, driver: DriverState) -> None:
         m = self.state.record
         is_new = is_new_run(m, driver)
-        record_changes.store_driver_state(m, driver)
+        if driver.activity == Activity.RESTING != m["activity"]:
+            m["rest_ns"] = driver.stamp_ns
+        m["activity"] = driver.activity
+        if driver.activity in PLAYING:
+            m["reported_cycle"] = driver.cycle
         if is_new:
             self._end(int(m["processed_ns"]))
             self._begin(driver)
@@ -315,11 +313,11 @@ class _Call:
 
     def _begin(self, driver: DriverState) -> None:
         state, twin = self.state, self.twin
-        start, text = begin_run(state.memory, driver, twin.parameters, twin.settings, state.starts)
+        start, text = begin_run(state.memory, driver, twin.parameters, state.starts)
         m = state.record
         state.history = History()
         self.complete_states()
-        state.margins = MarginRecord()
+        state.margins = NO_MARGINS
         late = start > driver.onset_ns and not m["origin_known"]
         state.joined_cycle = int(m["cycle"]) if late else 0
         self.events.append(Event(driver.stamp_ns, Severity.INFO, text, run=driver.run))
@@ -328,21 +326,20 @@ class _Call:
         state.clock_set = state.clock_set and driver.gait is None
         if state.gait is not None:
             self._report_edge(start, edge_of(state.gait, twin.effective_parameters(state)))
-        rules, c, a, p = self.model()
-        estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
+        estimator.begin_track(state.memory, start, *self.model(), self.room)
 
     def _report_edge(self, stamp: int, edge: Edge) -> None:
         """Report an edge once per run. From then on, a whole groove does not affect the health."""
         m = self.state.record
         if edge.is_near and not m["edge_slack"]:
-            record_changes.excuse_groove(m, self.twin.parameters.pitch)
+            m["edge_slack"] = self.twin.parameters.pitch
             self.events.append(
                 Event(stamp, Severity.INFO, edge.text, NEAR_EDGE.code, run=int(m["run"]))
             )
 
     def _reject(self, driver: DriverState, reason: str) -> None:
         """Mark a run as not to be judged, and report the reason."""
-        record_changes.set_start_known(self.state.record, known=False)
+        self.state.record["start_known"] = False
         self.state.unusable[driver.run or driver.onset_ns] = reason
         text = f"this gait is not judged: {reason}"
         self.events.append(
@@ -355,7 +352,9 @@ class _Call:
         if m["cycle_end_ns"] and stamp + END_NS >= m["cycle_end_ns"]:
             self._close_cycle(stamp)
         if self.state.is_running:
-            record_changes.end_run(m, stamp, is_usable=not self._unusable)
+            m["cycle_end_ns"], m["end_ns"] = 0, stamp
+            if self._unusable:  # the position of the robot is unknown
+                m["start_ns"] = 0
 
     # --- cycles ---------------------------------------------------------------------------------
 
@@ -382,11 +381,13 @@ class _Call:
             findings, not_judged = self._judge(cycle)
             for finding in findings:
                 self._follow(finding, stamp, gait)
-        if not self._unusable:
             self.complete_states()
             state.margins = state.positions.margins(gait, parameters, int(m["start_ns"]), number)
         self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
-        record_changes.close_cycle(state.memory, gait)
+        state.memory.sums[:] = 0.0
+        m["blind_s"], m["cycle_groove"] = 0.0, m["rear_groove"]
+        m["cycle"] += 1
+        m["cycle_end_ns"] = end_of_cycle(m, gait)
 
     def _judge(self, cycle: CycleSeen) -> tuple[list[Finding], str]:
         """Return the findings of a cycle that has ended, and the reason why the cycle is not judged, empty if it is."""
@@ -397,7 +398,7 @@ class _Call:
             return self._judge_first(cycle, history, findings)
         state.history = history
         if not (cycle.joined or cycle.blind_s):
-            record_changes.set_start_known(m, known=True)
+            m["start_known"] = True
         if cycle.joined:
             return findings, "it began before the first sample"
         if cycle.blind_s:
@@ -417,7 +418,7 @@ class _Call:
         estimates the start. If no start explains the cycle, the cycle is not judged.
         """
         state, m = self.state, self.state.record
-        record_changes.set_start_known(m, known=True)
+        m["start_known"] = True
         off, reason = off_at_end(cycle), "the state of the fins at its beginning is unknown"
         if explains(history, cycle) and not any(finding.code.code for finding in findings):
             state.history = history
@@ -427,26 +428,27 @@ class _Call:
         found = estimate_start(state.memory, cycle.parameters, int(m["motion_ns"]))
         if found is not None:
             state.starts[int(m["start_ns"])] = found.start
-            record_changes.continue_from(m, found)
-            offset = {"offset_mm": 1e3 * found.start.x1}
-            return [Finding(INFORMATION, Sentence.BENT_FINS, cycle.number, offset)], ""
-        facts = {"reason": reason}
+            _continue_from(m, found)
+            text = (
+                f"the gait began with bent fins, the rear module {1e3 * found.start.x1:+.1f} mm off its groove, "
+                "according to the positions"
+            )
+            return [Finding(cycle.number, text)], ""
+        text = f"is not judged: {reason}"
         if np.isnan(off):
-            return [Finding(INFORMATION, Sentence.NOT_JUDGED, cycle.number, facts)], reason
-        reset = Finding(
-            INFORMATION,
-            Sentence.NOT_JUDGED_RESET,
-            cycle.number,
-            facts,
-            shift=off,
-            explains_position=True,
-        )
-        return [reset], reason
+            return [Finding(cycle.number, text)], reason
+        text += "; the twin resets its position to the tracker's"
+        return [Finding(cycle.number, text, shift=off, explains_position=True)], reason
 
     def _follow(self, finding: Finding, stamp: int, gait: Gait) -> None:
         """Report a finding, and correct the twin accordingly."""
         m = self.state.record
-        record_changes.shift_origin(m, finding)
+        m["moved"] += finding.grooves
+        m["origin"] += finding.shift
+        if finding.explains_position:
+            m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
+        if np.isfinite(finding.initial_length):
+            m["initial_length"], m["length_fitted"] = finding.initial_length, 1
         if finding.silent:
             return
         code, text = finding.code.code, finding.text
@@ -461,7 +463,9 @@ class _Call:
                 **dict(list(self.state.warnings.items())[-7:]),
                 number: text,
             }
-            record_changes.warn(m, number, gait)
+            # The warning affects the health until the end of the next cycle.
+            m["warning"] = number
+            m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
 
     # --- the clock ------------------------------------------------------------------------------
 
@@ -478,11 +482,20 @@ class _Call:
         self.events.append(Event(stamp, Severity.WARNING, text, CLOCK_JUMP.code))
         fresh = self.twin.start()
         state.clock_set = state.is_running
-        record_changes.keep_counts(fresh.record, state.record)
+        for name in ("counts", "delay", "usual_size"):
+            fresh.record[name] = state.record[name]
         state.memory, state.history, state.joined_cycle = fresh.memory, History(), 0
-        rules = self.model()[0]
-        for k in range(len(held)):
-            sample_buffer.insert(state.memory, held[k : k + 1], rules)
+        sample_buffer.insert_all(state.memory, held, 0)
+
+
+def _continue_from(m: Any, found: EstimatedStart) -> None:
+    """Replace the motion in the record by the one from an estimated start."""
+    motion, start = found.motion, found.start
+    m["origin"] += m["pose_x1"] - start.x1
+    m["pose_x1"], m["pose_front"], m["moved"] = start.x1, start.front_groove, 0
+    m["y"], m["y_rate"] = motion.y, motion.y_rate
+    for name in ("rear_groove", "front_groove", "rear_region", "front_region"):
+        m[name] = getattr(motion, name)
 
 
 @lru_cache(maxsize=16)
@@ -491,34 +504,6 @@ def _with_length(parameters: Parameters, initial_length: float) -> Parameters:
 
 
 @lru_cache(maxsize=16)
-def _model(
-    parameters: Parameters, direction: int, settings: TwinSettings
-) -> tuple[Rules, Constants, Actuator, np.void]:
+def _model(parameters: Parameters, direction: int) -> tuple[Constants, Actuator, np.void]:
     row = parameter_rows(parameters)[0]
-    constants = constants_of(row, float(direction), 0.0)
-    return rules_of(settings), constants, actuator(parameters), row
-
-
-def rules_of(settings: TwinSettings) -> Rules:
-    """Return the settings in the form that the core needs, with times in ns."""
-
-    def ns(seconds: float) -> int:
-        return round(seconds * NANOSECONDS)
-
-    return Rules(
-        delay=ns(settings.delay_s),
-        look_ahead=ns(max(settings.measured_stale_s, settings.smoothing_s)),
-        stale=ns(settings.measured_stale_s),
-        pause=ns(settings.pause_s),
-        jump_back=ns(settings.jump_back_s),
-        hold_ahead=ns(settings.hold_ahead_s),
-        jump_ahead=ns(settings.jump_ahead_s),
-        history=ns(settings.rest_s + settings.smoothing_s + 1.0),
-        period=ns(settings.output_period_s),
-        moved=ns(settings.tracker_moved_s),
-        smoothing=settings.smoothing_s,
-        gate=settings.tracker_gate_m,
-        position_scale=settings.position_scale_m,
-        length_scale=settings.length_scale_m,
-        power_scale=settings.power_scale_w,
-    )
+    return constants_of(row, float(direction), 0.0), actuator(parameters), row

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from worm_model.run import LengthSource
 from worm_model.twin.core.memory import POSITION
@@ -18,13 +17,12 @@ INPUT_TIMEOUT_S = (
 )
 
 
-@dataclass(frozen=True)
-class TwinReport:
-    """Status with a level, a message of one line, and details as (key, value)."""
+class TwinReport(NamedTuple):
+    """Status with a level, a message of one line, and details by key."""
 
     level: Severity
     message: str
-    values: tuple[tuple[str, str], ...]
+    values: dict[str, str]
 
 
 _LEVELS = {
@@ -79,18 +77,14 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> TwinReport:
         level, message = Severity.WARNING, f"no input for {silent_s:.0f} s: is the driver running?"
     elif not message:
         message = _quiet_message(state, health) if m["moving"] else "no length yet"
-    values = [
-        ("length_source", LengthSource(int(m["source"])).name.lower() if m["moving"] else "none"),
-        ("run", "running" if state.is_running else "none"),
-        ("initial_length_m", f"{state.initial_length:.5f}"),
-        ("grooves_missed", str(state.history.missed)),
-        ("grooves_missed_by_power", str(state.history.missed_by_power)),
-        ("grooves_gained", str(state.history.extra)),
-    ]
-    values += [
-        (f"samples_{name.replace(' ', '_')}", str(count)) for name, count in state.counts.items()
-    ]
+    values = {
+        "length_source": LengthSource(int(m["source"])).name.lower() if m["moving"] else "none",
+        "run": "running" if state.is_running else "none",
+        "initial_length_m": f"{state.initial_length:.5f}",
+    }
+    for name, count in state.counts.items():
+        values[f"samples_{name.replace(' ', '_')}"] = str(count)
     for name in COMPLAINTS:
         if newest is not None and math.isfinite(newest[f"{name}_size"]):
-            values.append((f"{name}_residual_ratio", f"{newest[f'{name}_size']:.2f}"))
-    return TwinReport(level, message, tuple(values))
+            values[f"{name}_residual_ratio"] = f"{newest[f'{name}_size']:.2f}"
+    return TwinReport(level, message, values)

@@ -4,11 +4,13 @@
 The script prints the folder of the kernel's cache.
 """
 
+from dataclasses import astuple
+
 import numpy as np
 
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
-from worm_model.run import Activity, GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.run import Activity
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits, sample_cycle
 from worm_model.simulation.kernel import cache_directory
@@ -18,7 +20,8 @@ from worm_model.simulation.kernel.sampled_energy import sampled_energy
 from worm_model.simulation.kernel.whole_run import run_from_rest
 from worm_model.simulation.rows import parameter_rows
 from worm_model.simulation.simulator import Locomotion, evaluate_gait, play_gait, simulate
-from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.data.samples import SampleKind, SampleRows, sample_rows
+from worm_model.twin.twin import Twin
 
 
 def main() -> None:
@@ -28,7 +31,8 @@ def main() -> None:
 
 
 def _call_core() -> None:
-    replay_run(_recording(Gait(0.07, 0.2)), PAPER)
+    twin = Twin()
+    twin.advance(twin.start(), _samples(Gait(0.07, 0.2)), to_the_end=True)
 
 
 def _call_kernel() -> None:
@@ -50,28 +54,22 @@ def _call_kernel() -> None:
     run_from_rest(two, still, row, 1.0, 0.0, 0.0, EVEN, EVEN, samples)
 
 
-def _recording(gait: Gait) -> Run:
-    """Return a recording of half a second of a gait."""
+def _samples(gait: Gait) -> SampleRows:
+    """Return the samples of half a second of a gait."""
     stamp = 10**9 + 10**7 * np.arange(50)
     command = np.array([gait.command(time) for time in (stamp - 10**9) * 1e-9])
     length = PAPER.initial_length + command
-    onset, one = np.array([10**9]), np.ones(1)
-    return Run(
-        origin=10**9,
-        commanded=LengthSamples(stamp, length, command),
-        measured=LengthSamples(stamp, length, command),
-        tracker=TrackerSamples(stamp, 0.0 * length, length),
-        power=PowerSamples(stamp, 0 * stamp, 12.0 * one, 0.1 * one, 0.0 * length),
-        gait_state=GaitStates(
-            stamp=onset,
-            state=np.array([Activity.RUNNING]),
-            stroke=gait.stroke * one,
-            frequency=gait.frequency * one,
-            direction=np.array([FORWARD]),
-            margin=0.0 * one,
-            onset=onset,
-        ),
-    )
+    begin = sample_rows(SampleKind.GAIT, stamp[:1], *np.array([astuple(gait)], float).T)
+    begin["state"], begin["onset"] = Activity.RUNNING, stamp[0]
+    parts = [
+        begin,
+        sample_rows(SampleKind.COMMAND, stamp, command),
+        sample_rows(SampleKind.LENGTH, stamp, length),
+        sample_rows(SampleKind.POSITION, stamp, 0.0 * length, length),
+        sample_rows(SampleKind.POWER, stamp, 0.0 * length),
+    ]
+    rows = np.concatenate(parts)
+    return rows[np.argsort(rows["stamp"], kind="stable")]
 
 
 if __name__ == "__main__":

@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.data.records import Health, StateRecord
+from worm_model.twin.data.records import STALE_S, Health, StateRecord
 from worm_model.twin.run_margins import spare_of
-from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.robot_commands import Snapshot
 
 SOURCES: Mapping[str, str] = {  # topic and the name of its source

@@ -15,9 +15,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from worm_model.run import Activity, LengthSource, nanoseconds
-from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
+from worm_model.twin.data.records import STALE_S, Health, ResidualRecord, StateRecord
 from worm_model.twin.scene import PositionSample
-from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import (
     BodyLength,
     GaitState,

@@ -18,13 +18,12 @@ from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_model.twin.offline_replay import OfflineReplay, replay_run, unusable_runs
 from worm_model.twin.recorded_samples import RecordedSamples, rows_of_run
 
-JUMP_NS = 10**9
 SERIES = ("gait_state", "commanded", "measured", "tracker", "power")
 RUN = simulated_run(2)
 
 
 def rows_of_parts(parts: list[Run]) -> list[np.ndarray]:
-    return list(RecordedSamples(lambda: iter(parts), JUMP_NS).rows())
+    return list(RecordedSamples(lambda: iter(parts)).rows())
 
 
 def divided(run: Run, count: int, delay: Callable[[str], int] = lambda _: 0) -> list[Run]:
@@ -93,8 +92,8 @@ def test_parts_give_the_samples_in_the_order_of_the_whole(delays, count, set_by,
         **{n: concatenated(type(getattr(RUN, n)), [getattr(p, n) for p in parts]) for n in SERIES}
     )
     found = np.concatenate([np.zeros(0, SAMPLE), *rows_of_parts(parts)])
-    assert found.tobytes() == rows_of_run(whole, JUMP_NS).tobytes()
-    one, many = (RecordedSamples(lambda r=r: iter(r), JUMP_NS) for r in ([whole], parts))
+    assert found.tobytes() == rows_of_run(whole).tobytes()
+    one, many = (RecordedSamples(lambda r=r: iter(r)) for r in ([whole], parts))
     assert one.clock_went_back == many.clock_went_back
     assert (one.first_ns, one.last_ns) == (many.first_ns, many.last_ns)
     assert one.impossible_steps.tolist() == many.impossible_steps.tolist()
@@ -112,10 +111,10 @@ def test_no_more_than_the_samples_of_two_parts_wait():
 
 
 def test_a_recording_without_samples_has_no_rows():
-    empty = RecordedSamples(lambda: iter(()), JUMP_NS)
+    empty = RecordedSamples(lambda: iter(()))
     assert list(empty.rows()) == []
     assert (empty.first_ns, empty.last_ns, empty.origin) == (None, None, 0)
-    assert len(rows_of_run(Run(), JUMP_NS)) == 0
+    assert len(rows_of_run(Run())) == 0
 
 
 def test_a_command_that_jumps_to_and_fro_is_found_across_parts():
@@ -128,6 +127,6 @@ def test_a_command_that_jumps_to_and_fro_is_found_across_parts():
         )
         for k in range(40)
     ]
-    found = RecordedSamples(lambda: iter(parts), JUMP_NS)
+    found = RecordedSamples(lambda: iter(parts))
     assert len(found.impossible_steps) == 39
     assert sum((rows["kind"] == SampleKind.COMMAND).sum() for rows in found.rows()) == 40

@@ -24,7 +24,7 @@ from worm_model.parameters import PAPER
 from worm_model.twin.data.records import Health, Severity
 from worm_model.twin.offline_replay import Replay, replay_run
 
-FORWARD_GAIT, LONG, SHORT = Gait(0.07, 0.25), Gait(0.08, 0.3), Gait(0.06, 0.3)
+FORWARD_GAIT, LONG = Gait(0.07, 0.25), Gait(0.08, 0.3)
 BACKWARD = Gait(0.07, 0.25, REVERSE)
 SECOND = 10**9
 
@@ -41,25 +41,6 @@ class Seen:
 def seen(session: Session) -> Seen:
     rows = session.rows
     return Seen(rows, session.played, live_twin(rows))
-
-
-@lru_cache
-def mixed() -> Seen:
-    """Return ten gaits: completed, held at once, ended at the next rest, reversed, other strokes, without a camera."""
-    session = Session()
-    session.run(FORWARD_GAIT)
-    session.run(LONG, 2)
-    session.run(FORWARD_GAIT, stop_after=6.3)
-    session.run(FORWARD_GAIT, 2)
-    session.run(BACKWARD, 2)
-    session.run(BACKWARD, cancel_after=5.0)
-    session.camera = False
-    session.run(FORWARD_GAIT, 2)
-    session.run(SHORT, stop_after=5.1)
-    session.camera = True
-    session.run(LONG, 2)
-    session.run(SHORT, 2)
-    return seen(session)
 
 
 def grooves_of(states: np.ndarray, played: Played) -> tuple[int, ...]:
@@ -92,39 +73,6 @@ def live_health(session: Seen, played: Played) -> Health:
         rows["stamp_ns"] <= played.end_ns - 2 * SECOND
     )
     return Health(int(rows["health"][inside].max(initial=0)))
-
-
-@pytest.mark.night
-@pytest.mark.parametrize(
-    ("number", "memory"),
-    [*((n, True) for n in range(10)), *((n, False) for n in range(10) if n != 7)],
-)
-def test_each_of_ten_gaits_is_healthy_live_and_in_its_recording(number: int, memory: bool):
-    """Without memory and camera, power alone does not show the fins' grooves at the start: nothing is judged."""
-    session = mixed()
-    played = session.played[number]
-    replay, report = replayed(session, played, memory=memory)
-    assert not report.events
-    assert live_health(session, played) is Health.HEALTHY
-    assert grooves_of(session.live.states, played) == played.grooves
-    if memory or number != 6:
-        assert grooves_of(replay.states, played) == played.grooves
-        assert report.health is Health.HEALTHY
-    else:
-        assert report.health in (Health.HEALTHY, Health.UNKNOWN)
-    if memory:
-        assert not any(cycle.not_judged for cycle in report.cycles if cycle.complete)
-
-
-@pytest.mark.night
-def test_a_memory_of_another_robot_is_not_resumed():
-    session = mixed()
-    played = session.played[1]
-    run = recording(session.rows, session.live.memories, played.begin_ns, played.end_ns)
-    other = PAPER.replace(viscous_friction=1.02 * PAPER.viscous_friction)
-    replay = replay_run(run, other)
-    assert [cycle.not_judged for cycle in replay.cycles] != []
-    assert not [event.text for event in replay.notices if event.code]
 
 
 # --- disturbances -------------------------------------------------------------------------------
@@ -170,6 +118,17 @@ def test_of_three_gaits_exactly_the_disturbed_one_is_flagged_with_the_cause(
         assert report.health in (Health.SUSPECT, Health.FAULTY)
     else:
         assert (found, report.health) == ([], Health.HEALTHY)
+
+
+@pytest.mark.night
+def test_a_memory_of_another_robot_is_not_resumed():
+    session = three_gaits()
+    played = session.played[1]
+    run = recording(session.rows, session.live.memories, played.begin_ns, played.end_ns)
+    other = PAPER.replace(viscous_friction=1.02 * PAPER.viscous_friction)
+    replay = replay_run(run, other)
+    assert [cycle.not_judged for cycle in replay.cycles] != []
+    assert not [event.text for event in replay.notices if event.code]
 
 
 def live_codes(session: Seen, played: Played) -> list[tuple[str, int]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin's forecast, scene and rest pose."""
+"""Status and rest pose of the twin, and the colours of the fins."""
 
 import math
 
@@ -9,66 +9,15 @@ from twin_samples import CommandedLength, GaitSample, TrackerSample, follow, row
 
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import KEYS, NOT_OF_PAPER, PAPER
-from worm_model.run import Activity, LengthSource
-from worm_model.simulation.simulator import simulate
-from worm_model.twin.data.records import Health, Severity, StateRecord
-from worm_model.twin.forecast import ForecastError, forecast
-from worm_model.twin.scene import FREE, HOLDING, YIELDING, PositionSample, engagement, scene
+from worm_model.run import Activity
+from worm_model.twin.data.records import Health, Severity
+from worm_model.twin.scene import FREE, HOLDING, YIELDING, engagement
 from worm_model.twin.signatures import HEALTHY_SPREAD
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_status import position_deviation, report
 
 GAIT = Gait(0.08, 0.2)
 ONSET = 10**18
-
-
-def test_a_forecast_from_rest_is_the_simulators():
-    twin = Twin()
-    found = forecast(twin, twin.start(), GAIT, 20.0)
-    exact = simulate(GAIT, cycles=4).at(found.time)
-    # The paper's start has v1 = 0, a robot at rest has ẏ = 0: 0.1 mm until the transient has decayed.
-    assert found.rear_position == pytest.approx(exact.x1, abs=2e-4)
-    assert found.front_position == pytest.approx(exact.x2, abs=2e-4)
-    assert found.rear_position[100:] == pytest.approx(exact.x1[100:], abs=1e-6)
-    assert found.energy == pytest.approx(exact.energy[-1], rel=0.01)
-    assert found.nominal.speed > 0.0
-
-
-@pytest.mark.parametrize("horizon", [-1.0, math.nan, 1000.0])
-def test_an_impossible_horizon_is_rejected(horizon):
-    twin = Twin()
-    with pytest.raises(ForecastError, match="horizon"):
-        forecast(twin, twin.start(), GAIT, horizon)
-
-
-def record(**changes) -> StateRecord:
-    values = dict.fromkeys(StateRecord.__dataclass_fields__, 0.0)
-    values |= {"stamp_ns": 1, "length_source": LengthSource.MEASURED, "front_position": 0.3}
-    return StateRecord(**values | {"front_anchor": 0.2941} | changes)
-
-
-def test_the_scene_shows_robot_and_ghost_on_the_pipes_lattice():
-    shapes = {s.name: s for s in scene(record(), PositionSample(0.01, 0.31, 1), PAPER)}
-    assert shapes["robot rear module"].position[0] == 0.01
-    assert shapes["twin front module"].position[0] == 0.3
-    ridges = sorted({x for x, _, _ in shapes["pipe ridges"].points})
-    assert np.diff(ridges) == pytest.approx(PAPER.pitch)
-    assert ridges[0] % PAPER.pitch == pytest.approx(PAPER.pitch / 2)
-
-
-@pytest.mark.parametrize(
-    "sighting",
-    [
-        PositionSample(),
-        PositionSample(0.01, math.nan, ONSET),
-        PositionSample(0.01, 0.31, ONSET - 1_100_000_000),
-        PositionSample(0.01, 0.31, ONSET + 1_100_000_000),
-    ],
-)
-def test_a_robot_that_is_not_measured_is_not_drawn(sighting):
-    drawn = {s.name for s in scene(record(stamp_ns=ONSET), sighting, PAPER)}
-    assert "twin rear module" in drawn
-    assert not any(name.startswith("robot") for name in drawn)
 
 
 def test_a_twin_without_input_does_not_call_itself_well():

@@ -23,13 +23,10 @@ from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.run import Activity
 from worm_model.twin.data.records import Health
-from worm_model.twin.forecast import forecast
-from worm_model.twin.twin import Twin
 from worm_msgs.robot_parameters import RobotParameters
 
 CYCLES, PAUSE_S, STEP_S, ORIGIN = 3, 6.0, 1e-3, 0.4
 FIRST = Gait(0.07, 0.2)
-INSTRUMENTS = (TrackerSample, MeasuredLength)
 
 
 @lru_cache
@@ -114,39 +111,6 @@ def test_a_camera_confirms_the_twin_through_a_second_run(second, carried_mm):
     assert len(residuals) > 100
     assert max(np.abs(residuals)) < 1.5e-3
     assert not any("the robot was moved" in n.text for n in output.notices)
-
-
-@pytest.mark.parametrize(
-    ("kinds", "asked_s"),
-    [
-        ((CommandedLength,), PAUSE_S),
-        ((CommandedLength, *INSTRUMENTS), 2.0),
-        ((CommandedLength, *INSTRUMENTS), 2.8),
-    ],
-)
-def test_a_forecast_of_the_other_direction_turns_the_fins(kinds: tuple, asked_s: float):
-    """The forecast begins some seconds after the end of the first run."""
-    second = Gait(0.07, 0.2, REVERSE)
-    samples = session(second)
-    end = at(CYCLES * FIRST.period)
-    again = end + round(PAUSE_S * 1e9)
-    known = [
-        s
-        for s in samples
-        if isinstance(s, (*kinds, GaitSample)) and s.stamp_ns < end + round(asked_s * 1e9)
-    ]
-    twin = Twin()
-    state = twin.start()
-    follow(known, twin, state=state, end=False)
-    before = [part.tobytes() for part in state.memory]
-    found = forecast(twin, state, second, CYCLES * second.period)
-    assert [part.tobytes() for part in state.memory] == before
-    seen = [s for s in samples if isinstance(s, TrackerSample) and s.stamp_ns > again]
-    origin = 0.0 if state.record["origin_known"] else ORIGIN
-    for name in ("rear_position", "front_position"):
-        times = [(s.stamp_ns - again) * 1e-9 for s in seen]
-        expected = np.interp(times, found.time, origin + getattr(found, name))
-        assert expected == pytest.approx([getattr(s, name) for s in seen], abs=1.5e-3)
 
 
 @pytest.mark.parametrize("second", [FIRST, Gait(0.08, 0.2)])

@@ -32,7 +32,7 @@ COMMANDS = {
         *("bags", "evaluate_gait", "export", "health", "identify", "import_lab", "margin"),
         *("recover", "replay", "simulate"),
     ),
-    "worm_model.nodes": ("play_node", "record_node", "watch_node"),
+    "worm_model.nodes": ("play_node", "record_node"),
     "worm_optimizer.commands": (
         *("campaign", "capability", "console", "demo", "operate", "optimize", "report", "request"),
         *("scan_margin", "sensitivity", "start", "study", "tune"),

@@ -9,7 +9,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
-from worm_model.twin.watch_view import STALE_S
+from worm_model.twin.data.records import STALE_S
 from worm_msgs.msg import BodyLength, Tracker, TwinResiduals, TwinState
 from worm_optimizer.nodes import robot_telemetry
 from worm_optimizer.nodes.robot_telemetry import Telemetry

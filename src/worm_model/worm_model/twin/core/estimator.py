@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimation of motion, power and residuals from sample to sample, and of the ΔL that follows from the command.
 
-Samples are processed in the order of their stamps, once they are older than the newest sample by ``delay_s`` plus the
-look-ahead. The look-ahead is the larger of ``measured_stale_s`` and ``smoothing_s``.
+Samples are processed in the order of their stamps, once they are older than the newest sample by the delay plus
+`LOOK_AHEAD_NS`.
 
 - The **answer** to the command is the ΔL that the actuation model computes from the command, exactly at each stamp
   (`worm_model.simulation.kernel.actuation_law`).
 - The **driving length** is interpolated linearly between measured lengths. Between two measured lengths that are more
-  than ``measured_stale_s`` apart, it is the answer to the command. The look-ahead makes this choice possible.
+  than `LOOK_AHEAD_NS` apart, it is the answer to the command. The look-ahead makes this choice possible.
 - The **motion** is computed exactly from the driving length, without a derivative of a measured length.
 - The **power** depends on the length's rate (eq:Fc, eq:power_model). The rate of the answer is exact. For measured
-  lengths, a parabola is fitted to their differences from the answer within ± ``smoothing_s``. Its slope is added to the
+  lengths, a parabola is fitted to their differences from the answer within ± `SMOOTHING_S`. Its slope is added to the
   rate of the answer, so that only the small differences are smoothed. The power contains the square of the rate. The
   noise of the rate therefore adds a bias to the power, which is subtracted.
 - The **energy** is the trapezoidal sum of the power.
@@ -45,11 +45,13 @@ from worm_model.twin.core.memory import (
     COMMAND_KIND,
     GAIT_KIND,
     LENGTH_KIND,
+    LOOK_AHEAD_NS,
     NANOSECONDS,
     POSITION_KIND,
+    SMOOTHING_NS,
+    SMOOTHING_S,
     Memory,
     OutputRows,
-    Rules,
 )
 from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
 from worm_model.twin.core.residuals import judge
@@ -58,6 +60,10 @@ SECONDS_PER_NS = 1e-9  # s per ns
 MOVED_M = 1e-6  # m, commanded contraction above which a run has begun, even without a driver state
 PULLED_M = 5e-4  # m, commanded contraction above which the cable counts as pulled
 FEWEST_LENGTHS = 4  # fewest lengths of a fit; a parabola through three would follow their noise
+PAUSE_NS = NANOSECONDS  # a longer time without measured lengths and commands is reported as a gap
+# Shortest interval of published states and of estimated lengths. It is shorter than the driver's period of 10 ms by
+# more than the period's jitter, so that each command yields a state.
+PERIOD_NS = 8_000_000
 ESTIMATED, MEASURED = int(LengthSource.ESTIMATED), int(LengthSource.MEASURED)
 
 # Reasons to return to the Python code: no row to process, a driver state, the end of a cycle, a run that no driver
@@ -131,7 +137,7 @@ def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
 
 
 @entry
-def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float, float]:
+def _slope(memory: Memory, stamp: int, a: Actuator) -> tuple[float, float]:
     """Return the rate (m/s) of the measured length at a stamp, and its variance (1/s²) for a noise variance of 1 m².
 
     The rate is the slope of a parabola fitted to the lengths around the stamp. If the answer to the command is known at
@@ -140,11 +146,10 @@ def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float
     stamp, because a parabola is not suited for extrapolation.
     """
     m, rows = memory.record[0], memory.rows
-    half = rules.smoothing
+    half, window = SMOOTHING_S, SMOOTHING_NS + 1
     with_answer = m.engaged and m.answered
     if with_answer:
-        _answers_ahead(memory, stamp + round(half * NANOSECONDS) + 1, a)
-    window = round(half * NANOSECONDS) + 1
+        _answers_ahead(memory, stamp + window, a)
     k = m.place
     while k > 0 and rows[k - 1].stamp >= max(stamp - window, m.track_ns):
         k -= 1
@@ -288,14 +293,12 @@ def drag_of(c: Constants) -> float:
 
 
 @entry
-def _update_power(
-    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any
-) -> float:
+def _update_power(memory: Memory, stamp: int, c: Constants, a: Actuator, p: Any) -> float:
     """Compute power and energy at ``stamp``, up to which the motion is computed, and return L̇ in m/s."""
     m, sample = memory.record[0], memory.sample[0]
     rate, variance = math.nan, 0.0
     if not m.on_estimate:
-        rate, variance = _slope(memory, stamp, rules, a)
+        rate, variance = _slope(memory, stamp, a)
         variance *= m.noise_square[LENGTH_CHANNEL]
     if math.isnan(rate):
         # The slope of a line from a measured to an estimated length is not the rate of the body.
@@ -340,12 +343,12 @@ def publish(memory: Memory, rate: float, c: Constants, out: OutputRows) -> None:
 
 @entry
 def begin_track(
-    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
+    memory: Memory, stamp: int, c: Constants, a: Actuator, p: Any, out: OutputRows
 ) -> None:
     """Put the twin at rest at a stamp, with the answer to the command as ΔL, and publish this state."""
     m = memory.record[0]
     put_at_rest(memory, stamp, m.answer, ESTIMATED, c)
-    publish(memory, _update_power(memory, stamp, rules, c, a, p), c, out)
+    publish(memory, _update_power(memory, stamp, c, a, p), c, out)
 
 
 @entry
@@ -374,22 +377,20 @@ def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
 
 
 @entry
-def _follow(
-    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
-) -> None:
+def _follow(memory: Memory, c: Constants, a: Actuator, p: Any, out: OutputRows) -> None:
     """Advance answer and motion to the row being processed.
 
     `answered` and `arrived` become 1 if the answer and the motion have reached the row, else 0. `drives` becomes 1 if
     the row drives the motion.
     """
     m, row = memory.record[0], memory.rows[memory.record[0].place]
-    stamp, until = row.stamp, row.stamp + rules.look_ahead
+    stamp, until = row.stamp, row.stamp + LOOK_AHEAD_NS
     next_command = next_of(memory, COMMAND_KIND, until)
     next_length = next_of(memory, LENGTH_KIND, until)
     start, before = m.command, m.answer
     _follow_command(memory, next_command, a)
     fresh = next_length >= 0 and m.measured_ns > 0
-    fresh = fresh and memory.rows[next_length].stamp - m.measured_ns <= rules.stale
+    fresh = fresh and memory.rows[next_length].stamp - m.measured_ns <= LOOK_AHEAD_NS
     measured = row.kind == LENGTH_KIND
     m.arrived = 1
     # The first motion begins with a measured length if one follows: the driver may hold the cable at any length.
@@ -404,7 +405,7 @@ def _follow(
         if m.drives:
             length_change = row.a - m.initial_length if measured else m.answer
             put_at_rest(memory, stamp, length_change, m.source, c)
-            publish(memory, _update_power(memory, stamp, rules, c, a, p), c, out)
+            publish(memory, _update_power(memory, stamp, c, a, p), c, out)
     elif measured:
         _move_along(memory, stamp, stamp, row.a - m.initial_length, c)
     elif m.drives and not m.on_estimate:
@@ -452,31 +453,31 @@ def _follow_between(
 
 
 @entry
-def _leaves_zero(memory: Memory, rules: Rules) -> bool:
+def _leaves_zero(memory: Memory) -> bool:
     """Return True if the command leaves 0 at this row or the next command, and no driver state has arrived."""
     m = memory.record[0]
     row = memory.rows[m.place]
     if m.activity >= 0 or m.engaged or row.kind != COMMAND_KIND:
         return False
-    k = next_of(memory, COMMAND_KIND, row.stamp + rules.look_ahead)
+    k = next_of(memory, COMMAND_KIND, row.stamp + LOOK_AHEAD_NS)
     return row.a < -MOVED_M or (k >= 0 and memory.rows[k].a < -MOVED_M)
 
 
 @entry
-def _gap(memory: Memory, rules: Rules) -> float:
+def _gap(memory: Memory) -> float:
     """Return the duration (s) of a gap before the next driving length when the gap is first detected; otherwise 0."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
-    if not m.moving or row.stamp - m.motion_ns <= rules.pause - rules.look_ahead:
+    if not m.moving or row.stamp - m.motion_ns <= PAUSE_NS - LOOK_AHEAD_NS:
         return 0.0
     stamp = row.stamp
     if row.kind != LENGTH_KIND and row.kind != COMMAND_KIND:
-        until = row.stamp + rules.look_ahead
+        until = row.stamp + LOOK_AHEAD_NS
         command, length = next_of(memory, COMMAND_KIND, until), next_of(memory, LENGTH_KIND, until)
         k = min(command, length) if command >= 0 and length >= 0 else max(command, length)
         if k < 0:
             return 0.0
         stamp = memory.rows[k].stamp
-    if stamp - m.motion_ns <= rules.pause or m.paused_ns > m.motion_ns:
+    if stamp - m.motion_ns <= PAUSE_NS or m.paused_ns > m.motion_ns:
         return 0.0
     duration = (stamp - m.motion_ns) * SECONDS_PER_NS
     m.paused_ns = row.stamp
@@ -485,7 +486,7 @@ def _gap(memory: Memory, rules: Rules) -> float:
 
 
 @entry
-def _boundary(memory: Memory, rules: Rules) -> int:
+def _boundary(memory: Memory) -> int:
     """Return the boundary that Python has to handle before the next row; DONE if there is no boundary."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if m.cycle_end_ns and row.stamp >= m.cycle_end_ns:
@@ -493,23 +494,21 @@ def _boundary(memory: Memory, rules: Rules) -> int:
     if row.kind == GAIT_KIND:
         m.processed_ns = row.stamp
         return DRIVER_STATE
-    if _leaves_zero(memory, rules):
+    if _leaves_zero(memory):
         m.processed_ns = row.stamp
         return UNANNOUNCED_RUN
     return DONE
 
 
 @entry
-def _process_row(
-    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
-) -> None:
+def _process_row(memory: Memory, c: Constants, a: Actuator, p: Any, out: OutputRows) -> None:
     """Advance answer, motion and power to the next row, and compare the row with them."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
-    gap = _gap(memory, rules)
+    gap = _gap(memory)
     if gap:
         _report(out, GAP, row.stamp, gap)
     moving = m.moving
-    _follow(memory, rules, c, a, p, out)
+    _follow(memory, c, a, p, out)
     m.processed_ns = row.stamp
     if memory.totals[march.FAILURE] != 0.0:
         memory.totals[march.FAILURE] = 0.0
@@ -517,31 +516,29 @@ def _process_row(
         _report(out, ZENO, row.stamp, 0.0)
         m.place += 1
         return
-    if row.kind == COMMAND_KIND and row.stamp - m.estimated_ns >= rules.period:
+    if row.kind == COMMAND_KIND and row.stamp - m.estimated_ns >= PERIOD_NS:
         line = out.lengths[out.counts[2]]
         line.stamp_ns, line.length_change = row.stamp, m.answer
         line.length = c.body.initial_length + m.answer
         out.counts[2] += 1
         m.estimated_ns = row.stamp
     if m.arrived and (m.drives or row.kind > POSITION_KIND):
-        rate = _update_power(memory, row.stamp, rules, c, a, p)
-        if m.drives and moving and row.stamp - m.published_ns >= rules.period:
+        rate = _update_power(memory, row.stamp, c, a, p)
+        if m.drives and moving and row.stamp - m.published_ns >= PERIOD_NS:
             publish(memory, rate, c, out)
-    shift = judge(memory, rules, c, out)
+    shift = judge(memory, c, out)
     if shift != 0.0:
         _report(out, TRACKER_MOVED, row.stamp, shift)
     m.place += 1
 
 
 @unlocked
-def process(
-    memory: Memory, lag: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
-) -> int:
+def process(memory: Memory, lag: int, c: Constants, a: Actuator, p: Any, out: OutputRows) -> int:
     """Process all rows that are at least ``lag`` ns older than the newest, up to a boundary; return the boundary."""
     m = memory.record[0]
     while m.place < m.filled and memory.rows[m.place].stamp <= m.present - lag:
-        boundary = _boundary(memory, rules)
+        boundary = _boundary(memory)
         if boundary != DONE:
             return boundary
-        _process_row(memory, rules, c, a, p, out)
+        _process_row(memory, c, a, p, out)
     return DONE

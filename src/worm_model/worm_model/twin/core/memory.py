@@ -23,6 +23,14 @@ ROOM = 16384  # rows of recent and waiting samples: some 3 s of five topics at 1
 # Largest number of held samples, see `sample_buffer`. This many confirm each other even if all are of one topic.
 HELD = 100
 PHASES = 200  # bins of a cycle in which residuals are summed
+REST_S = 1.0  # time before the onset over which rest pose and initial length are averaged
+SMOOTHING_S = (
+    0.15  # half the time over which a parabola is fitted to measured lengths for their rate
+)
+SMOOTHING_NS = round(SMOOTHING_S * NANOSECONDS)
+# Between measured lengths further apart than this, the length follows from the command. The computation at a row also
+# uses samples that are later than the row by up to this time, which is longer than the smoothing.
+LOOK_AHEAD_NS = 200_000_000
 
 # Fates of a sample; CROWDED means that `rows` is full. `counts` contains the number of samples by fate.
 ACCEPTED, DUPLICATE, LATE, AHEAD, NOT_A_NUMBER, CROWDED = range(6)
@@ -52,6 +60,9 @@ class Field(NamedTuple):
 
 
 FIELDS = (
+    # settings
+    Field("delay", np.int64, "ns", "`TwinSettings.delay_s`"),
+    Field("usual_size", np.float64, "m, m, W", "scales of the `TwinSettings`", CHANNELS),
     # samples
     Field("present", np.int64, "ns", "newest stamp of all samples except driver states"),
     Field("newest", np.int64, "ns", "newest stamp by kind of sample", KINDS),
@@ -193,32 +204,6 @@ class Memory(NamedTuple):
 def gait_of_run(record: Any) -> Gait:
     """Return the gait in a record of the memory, without the margin. The record must contain one (``has_gait``)."""
     return gait_of({name: record[name] for name in (*WAVEFORM, "direction")})
-
-
-class Rules(NamedTuple):
-    """Settings for the core, from `TwinSettings`.
-
-    ``smoothing`` is in s, all other times are in ns. ``gate`` and the scales are in the SI unit of their quantity. The
-    computation at a row also uses samples that are later than the row by up to ``look_ahead``. Processed rows are
-    stored for at least ``history``, unless there are too many. ``period`` is the shortest interval of published states.
-    The tracker counts as moved if rejected positions agree with each other for the time ``moved``.
-    """
-
-    delay: int
-    look_ahead: int
-    stale: int
-    pause: int
-    jump_back: int
-    hold_ahead: int
-    jump_ahead: int
-    history: int
-    period: int
-    moved: int
-    smoothing: float
-    gate: float
-    position_scale: float
-    length_scale: float
-    power_scale: float
 
 
 class OutputRows(NamedTuple):

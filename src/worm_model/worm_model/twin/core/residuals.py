@@ -27,9 +27,10 @@ from worm_model.twin.core.memory import (
     POSITION_SUM,
     POWER,
     POWER_SUM,
+    SMOOTHING_NS,
+    SMOOTHING_S,
     Memory,
     OutputRows,
-    Rules,
 )
 from worm_model.twin.data.records import Health
 
@@ -40,6 +41,9 @@ FAULTY_FROM = 4.0
 RECOVERY = 0.75  # share of a limit at which the level of a channel improves
 NOISE_SAMPLES = 500  # number of residuals over which the noise of a channel is averaged
 TOP_SPEED = 0.15  # m/s, above the speed of all gaits of the paper's box
+# A position that jumps by more than this plus TOP_SPEED times the elapsed time is rejected. If rejected positions agree
+# with each other for MOVED_NS, the tracker was moved.
+GATE_M, MOVED_NS = 0.05, 500_000_000
 RESTING = int(Activity.RESTING)
 UNKNOWN, HEALTHY, SUSPECT, FAULTY = (int(health) for health in Health)
 
@@ -128,7 +132,6 @@ def _record(
     channel: int,
     residual: float,
     energy: float,
-    rules: Rules,
     out: OutputRows,
 ) -> None:
     m, row = memory.record[0], out.residuals[out.counts[1]]
@@ -136,8 +139,8 @@ def _record(
     row.rear_position = residual if channel == POSITION else math.nan
     row.length = residual if channel == LENGTH else math.nan
     row.power = residual if channel == POWER else math.nan
-    row.rear_position_scale = rules.position_scale
-    row.length_scale, row.power_scale = rules.length_scale, rules.power_scale
+    row.rear_position_scale = m.usual_size[POSITION]
+    row.length_scale, row.power_scale = m.usual_size[LENGTH], m.usual_size[POWER]
     row.energy = energy
     row.health = health_at(memory, stamp)
     row.position_size = size_of(memory, POSITION, stamp)
@@ -164,7 +167,7 @@ def _sum_up(memory: Memory, stamp: int, column: int, residual: float) -> None:
 
 
 @entry
-def _is_plausible(memory: Memory, stamp: int, position: float, rules: Rules) -> bool:
+def _is_plausible(memory: Memory, stamp: int, position: float) -> bool:
     """Return True if a position is reachable from the last accepted one.
 
     The position is stored as accepted, or as rejected if it begins a jump.
@@ -172,22 +175,22 @@ def _is_plausible(memory: Memory, stamp: int, position: float, rules: Rules) -> 
     m = memory.record[0]
     elapsed = max(stamp - m.accepted_ns, 0) * 1e-9
     # The negation accepts the first position, whose jump is NaN.
-    if not abs(position - m.accepted) > rules.gate + TOP_SPEED * elapsed:
+    if not abs(position - m.accepted) > GATE_M + TOP_SPEED * elapsed:
         m.accepted_ns, m.accepted, m.rejected_ns, m.rejected = stamp, position, 0, math.nan
         return True
-    if not abs(position - m.rejected) <= rules.gate:
+    if not abs(position - m.rejected) <= GATE_M:
         m.rejected_ns, m.rejected = stamp, position
     return False
 
 
 @entry
 def _judge_position(
-    memory: Memory, stamp: int, position: float, rules: Rules, c: Constants, out: OutputRows
+    memory: Memory, stamp: int, position: float, c: Constants, out: OutputRows
 ) -> float:
     """Compare a position with the twin; return the shift (m) of a tracker that was moved, otherwise 0."""
     m = memory.record[0]
     expected = memory.sample[0, X1] + m.moved * c.body.pitch
-    accepted = _is_plausible(memory, stamp, position, rules)
+    accepted = _is_plausible(memory, stamp, position)
     if not m.origin_known:  # the first position defines the origin
         m.origin, m.origin_known = position - expected, 1
     residual = position - expected - m.origin
@@ -196,10 +199,10 @@ def _judge_position(
         # move by up to a groove.
         if m.start_known and m.activity != RESTING:
             counted = max(abs(residual) - m.edge_slack, 0.0)
-            observe(memory, POSITION, stamp, counted, rules.position_scale)
+            observe(memory, POSITION, stamp, counted, m.usual_size[POSITION])
         _sum_up(memory, stamp, POSITION_SUM, residual)
-        _record(memory, stamp, POSITION, residual, math.nan, rules, out)
-    elif stamp - m.rejected_ns >= rules.moved:
+        _record(memory, stamp, POSITION, residual, math.nan, out)
+    elif stamp - m.rejected_ns >= MOVED_NS:
         # The rejected positions agree for long enough: the tracker or the robot was moved. The origin follows.
         m.origin += residual
         m.accepted_ns, m.accepted, m.rejected_ns, m.rejected = stamp, position, 0, math.nan
@@ -208,7 +211,7 @@ def _judge_position(
 
 
 @entry
-def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: OutputRows) -> None:
+def _judge_power(memory: Memory, stamp: int, power: float, out: OutputRows) -> None:
     m = memory.record[0]
     residual = power - m.power
     if stamp > m.instrument_ns:
@@ -216,26 +219,25 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ou
         m.instrument_energy += 0.5 * (before + power) * (stamp - m.instrument_ns) * 1e-9
         m.instrument_ns, m.instrument_power = stamp, power
     # At the onset the rate of the length jumps. The smoothed rate, and so the predicted power, is wrong near this jump.
-    if (stamp - m.start_ns) * 1e-9 > 4.0 * rules.smoothing:
+    if (stamp - m.start_ns) * 1e-9 > 4.0 * SMOOTHING_S:
         # Noise of the lengths makes the predicted power vary slowly. The estimate of the noise ignores slow changes.
         # Therefore this variance is added here.
-        scale = math.sqrt(rules.power_scale**2 + m.power_variance)
+        scale = math.sqrt(m.usual_size[POWER] ** 2 + m.power_variance)
         if m.start_known:
             observe(memory, POWER, stamp, residual, scale)
         _sum_up(memory, stamp, POWER_SUM, residual)
-    _record(memory, stamp, POWER, residual, m.instrument_energy - m.energy, rules, out)
+    _record(memory, stamp, POWER, residual, m.instrument_energy - m.energy, out)
 
 
 @entry
-def _is_settled(memory: Memory, rules: Rules) -> bool:
+def _is_settled(memory: Memory) -> bool:
     """Return True if all lengths from which the power is predicted have arrived."""
     m = memory.record[0]
-    window = round(rules.smoothing * NANOSECONDS)
-    return bool(m.on_estimate) or m.present >= memory.rows[m.place].stamp + window
+    return bool(m.on_estimate) or m.present >= memory.rows[m.place].stamp + SMOOTHING_NS
 
 
 @entry
-def judge(memory: Memory, rules: Rules, c: Constants, out: OutputRows) -> float:
+def judge(memory: Memory, c: Constants, out: OutputRows) -> float:
     """Compare the row being processed with the twin.
 
     A length is compared only during a run, if ΔL from the actuation model (`Memory`: answer) is known at this row. A
@@ -250,11 +252,11 @@ def judge(memory: Memory, rules: Rules, c: Constants, out: OutputRows) -> float:
         # Lengths are compared only during a run. After it the slack of the resting cable returns, at a time that the
         # actuation model does not describe. Before the first run the driver may hold the cable at any length.
         residual = row.a - m.initial_length - m.answer
-        observe(memory, LENGTH, row.stamp, residual, rules.length_scale)
+        observe(memory, LENGTH, row.stamp, residual, m.usual_size[LENGTH])
         _sum_up(memory, row.stamp, LENGTH_SUM, residual)
-        _record(memory, row.stamp, LENGTH, residual, math.nan, rules, out)
+        _record(memory, row.stamp, LENGTH, residual, math.nan, out)
     elif row.kind == POSITION_KIND and m.arrived and not math.isnan(row.a):
-        return _judge_position(memory, row.stamp, row.a, rules, c, out)
-    elif row.kind > POSITION_KIND and m.arrived and _is_settled(memory, rules):
-        _judge_power(memory, row.stamp, row.a, rules, out)
+        return _judge_position(memory, row.stamp, row.a, c, out)
+    elif row.kind > POSITION_KIND and m.arrived and _is_settled(memory):
+        _judge_power(memory, row.stamp, row.a, out)
     return 0.0

@@ -7,13 +7,13 @@
   already have used later samples. Samples that are less late are inserted by stamp, in whatever order they arrive.
 - **Duplicate**, **not a number**. These samples are counted and excluded. A length, position or power that is not
   plausible counts as not a number.
-- **Jump back.** The clock has jumped back if three successive late samples are older by more than ``jump_back_s`` than
+- **Jump back.** The clock has jumped back if three successive late samples are older by more than `JUMP_BACK_NS` than
   the newest sample of all topics, including the driver states.
-- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. If its stamp differs by more
-  than ``hold_ahead_s`` from that of the sample held last, all samples held before are excluded. Three held samples
+- **Ahead.** A sample that is ahead of the newest by more than `HOLD_AHEAD_NS` is held. If its stamp differs by more
+  than `HOLD_AHEAD_NS` from that of the sample held last, all samples held before are excluded. Three held samples
   confirm each other. If several topics are active, they must be of at least two topics, unless 100 samples are held.
   Held driver states confirm nothing, and are excluded if their stamp is ahead of that of a sample held after them by
-  more than ``hold_ahead_s``. If the first confirmed sample is at most ``jump_ahead_s`` ahead, a pause has ended, and
+  more than `HOLD_AHEAD_NS`. If the first confirmed sample is at most `JUMP_AHEAD_NS` ahead, a pause has ended, and
   the held samples are inserted. If it is further ahead, the clock has jumped. If a sample other than a driver state is
   inserted before the confirmation, the held samples are excluded.
 - A **driver state** is never late, because its topic is latched. A state of a running gait is inserted at the onset, or
@@ -42,9 +42,10 @@ from worm_model.twin.core.memory import (
     NANOSECONDS,
     NOT_A_NUMBER,
     POSITION_KIND,
+    REST_S,
     ROOM,
+    SMOOTHING_S,
     Memory,
-    Rules,
 )
 
 RUNNING, STOPPING = int(Activity.RUNNING), int(Activity.STOPPING)
@@ -55,6 +56,12 @@ MOST_W = 1e5  # largest plausible power
 CONFIRMATIONS = 3  # number of successive samples that confirm a jump; a single stamp may be wrong
 # An onset that is later than its message by more than this is invalid.
 ONSET_AHEAD_NS = 5 * NANOSECONDS
+
+JUMP_BACK_NS = NANOSECONDS
+HOLD_AHEAD_NS = NANOSECONDS
+JUMP_AHEAD_NS = 60 * NANOSECONDS
+# Processed rows are stored for at least this time, unless there are too many.
+HISTORY_NS = round((REST_S + SMOOTHING_S + 1.0) * NANOSECONDS)
 
 NO_JUMP, JUMPED_BACK, JUMPED_AHEAD = 0, 1, 2  # jumps of the clock
 
@@ -98,11 +105,11 @@ def _place_of(memory: Memory, stamp: int, kind: int) -> int:
 
 
 @entry
-def _make_room(memory: Memory, rules: Rules) -> bool:
+def _make_room(memory: Memory) -> bool:
     """Remove the oldest processed rows; return False if there are none to remove."""
     m, rows = memory.record[0], memory.rows
     first = 0
-    while first < m.place and rows[first].stamp < m.processed_ns - rules.history:
+    while first < m.place and rows[first].stamp < m.processed_ns - HISTORY_NS:
         first += 1
     if first < ROOM // 16:
         # The samples are so dense that rows younger than ``history`` have to be removed, too.
@@ -115,10 +122,10 @@ def _make_room(memory: Memory, rules: Rules) -> bool:
 
 
 @entry
-def _insert_row(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
+def _insert_row(memory: Memory, s: np.ndarray) -> bool:
     """Insert a sample at its stamp; return False for a duplicate or without room."""
     m, rows, row = memory.record[0], memory.rows, s[0]
-    if m.filled == ROOM and not _make_room(memory, rules):
+    if m.filled == ROOM and not _make_room(memory):
         m.counts[CROWDED] += 1
         return False
     stamp = row.stamp
@@ -127,7 +134,7 @@ def _insert_row(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
         if playing and 0 < row.onset <= row.sent + ONSET_AHEAD_NS:
             stamp = row.onset
         if m.present > 0:
-            stamp = max(stamp, m.present - rules.delay)
+            stamp = max(stamp, m.present - m.delay)
         stamp = max(stamp, m.processed_ns)
     elif m.present == 0:
         # Driver states that arrived before the first other sample take effect at the stamp of that sample.
@@ -157,20 +164,20 @@ def _insert_row(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
 
 
 @entry
-def _drop_contradicted(memory: Memory, s: np.ndarray, rules: Rules) -> None:
+def _drop_contradicted(memory: Memory, s: np.ndarray) -> None:
     """Drop the held samples that a new sample contradicts, and the oldest held one if there is no room.
 
-    A sample contradicts all held ones if its stamp differs by more than ``hold_ahead`` from that of the last one.
-    Driver states contradict nothing, and are dropped only if they are ahead of the sample by more than ``hold_ahead``.
+    A sample contradicts all held ones if its stamp differs by more than `HOLD_AHEAD_NS` from that of the last one.
+    Driver states contradict nothing, and are dropped only if they are ahead of the sample by more than `HOLD_AHEAD_NS`.
     """
     m, held, row = memory.record[0], memory.held, s[0]
     agrees = True
     for k in range(m.ahead):
         if held[k].kind != GAIT_KIND:
-            agrees = abs(row.stamp - held[k].stamp) <= rules.hold_ahead
+            agrees = abs(row.stamp - held[k].stamp) <= HOLD_AHEAD_NS
     count = 0
     for k in range(1 if m.ahead == HELD else 0, m.ahead):
-        early = held[k].stamp - row.stamp <= rules.hold_ahead
+        early = held[k].stamp - row.stamp <= HOLD_AHEAD_NS
         stands = early if held[k].kind == GAIT_KIND else agrees
         if stands or row.kind == GAIT_KIND:
             held[count] = held[k]
@@ -179,10 +186,10 @@ def _drop_contradicted(memory: Memory, s: np.ndarray, rules: Rules) -> None:
 
 
 @entry
-def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
+def _hold(memory: Memory, s: np.ndarray) -> int:
     """Hold a sample that is ahead. If the held samples confirm each other, insert them or return JUMPED_AHEAD."""
     m, held, row = memory.record[0], memory.held, s[0]
-    _drop_contradicted(memory, s, rules)
+    _drop_contradicted(memory, s)
     held[m.ahead] = row
     m.ahead += 1
     if row.kind == GAIT_KIND:
@@ -190,7 +197,7 @@ def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
     count, first = m.ahead, row.stamp
     alive, kinds, confirming = 0, 0, 0
     for kind in range(COMMAND_KIND, KINDS):
-        recent = m.newest[kind] >= m.present - rules.hold_ahead
+        recent = m.newest[kind] >= m.present - HOLD_AHEAD_NS
         alive += 1 if recent and m.newest[kind] > 0 else 0
         same = 0
         for k in range(count):
@@ -201,16 +208,16 @@ def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
         kinds += 1 if same > 0 else 0
     if confirming < CONFIRMATIONS or (kinds < min(alive, 2) and count < HELD):
         return NO_JUMP
-    if first - m.present > rules.jump_ahead:
+    if first - m.present > JUMP_AHEAD_NS:
         return JUMPED_AHEAD
     for k in range(count):
-        _insert_row(memory, held[k : k + 1], rules)
+        _insert_row(memory, held[k : k + 1])
     m.counts[AHEAD] -= count
     return NO_JUMP
 
 
 @entry
-def insert(memory: Memory, s: np.ndarray, rules: Rules) -> int:
+def insert(memory: Memory, s: np.ndarray) -> int:
     """Insert, hold or exclude a sample (a row, shape (1,)); return the jump of the clock that the sample reveals.
 
     After a jump ahead, `held` contains the samples that revealed it; after a jump back, the last of these samples.
@@ -219,23 +226,23 @@ def insert(memory: Memory, s: np.ndarray, rules: Rules) -> int:
     if not _is_number(s):
         m.counts[NOT_A_NUMBER] += 1
         return NO_JUMP
-    if m.present > 0 and row.stamp - m.present > rules.hold_ahead:
+    if m.present > 0 and row.stamp - m.present > HOLD_AHEAD_NS:
         m.counts[AHEAD] += 1
-        return _hold(memory, s, rules)
+        return _hold(memory, s)
     if row.kind == GAIT_KIND:
         if row.sent == m.newest[GAIT_KIND]:
             m.counts[DUPLICATE] += 1
         else:
-            _insert_row(memory, s, rules)
+            _insert_row(memory, s)
         return NO_JUMP
-    if m.present == 0 or row.stamp >= max(m.present - rules.delay, m.processed_ns):
-        _insert_row(memory, s, rules)
+    if m.present == 0 or row.stamp >= max(m.present - m.delay, m.processed_ns):
+        _insert_row(memory, s)
         return NO_JUMP
     if row.stamp == m.newest[row.kind]:
         m.counts[DUPLICATE] += 1
     else:
         m.counts[LATE] += 1
-    if _newest(memory) - row.stamp <= rules.jump_back:
+    if _newest(memory) - row.stamp <= JUMP_BACK_NS:
         m.old_in_a_row = 0
         return NO_JUMP
     m.old_in_a_row += 1
@@ -247,10 +254,10 @@ def insert(memory: Memory, s: np.ndarray, rules: Rules) -> int:
 
 
 @unlocked
-def insert_all(memory: Memory, samples: np.ndarray, first: int, rules: Rules) -> tuple[int, int]:
+def insert_all(memory: Memory, samples: np.ndarray, first: int) -> tuple[int, int]:
     """Insert samples from the index ``first`` on, up to a jump of the clock; return the jump and the next index."""
     for k in range(first, samples.shape[0]):
-        jump = insert(memory, samples[k : k + 1], rules)
+        jump = insert(memory, samples[k : k + 1])
         if jump != NO_JUMP:
             return jump, k + 1
     return NO_JUMP, samples.shape[0]

@@ -18,6 +18,7 @@ import numpy as np
 from worm_model.run import LengthSource
 
 NANOSECONDS = 1_000_000_000
+STALE_S = 1.0  # time without a message after which its source counts as silent
 
 
 class Health(enum.IntEnum):
@@ -143,7 +144,12 @@ COMPLAINTS = {
 
 
 def residual_message(row: Any, warnings: Mapping[int, str]) -> str:
-    """Return the description of a row of RESIDUAL_ROW; ``warnings`` contains the texts of the warnings by number."""
+    """Return the description of a row of RESIDUAL_ROW; empty while the robot is healthy or the health is unknown.
+
+    ``warnings`` contains the texts of the warnings by number.
+    """
+    if row["health"] <= Health.HEALTHY:
+        return ""
     warning = [warnings[row["warning"]]] if row["warning"] in warnings else []
     warning += [
         f"{text} ({row[f'{name}_size']:.1f} times the usual residual)"

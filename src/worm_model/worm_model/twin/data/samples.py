@@ -56,17 +56,6 @@ def sample_rows(kind: SampleKind, stamp: NDArray[np.int64], *values: NDArray[Any
     return rows
 
 
-def series_of(run: Run) -> dict[SampleKind, Any]:
-    """Return the series of a recording that the twin reads, by kind."""
-    return dict(
-        zip(
-            SampleKind,
-            (run.gait_state, run.commanded, run.measured, run.tracker, run.power),
-            strict=True,
-        )
-    )
-
-
 def topic_rows(run: Run) -> dict[SampleKind, SampleRows]:
     """Return the samples of a recording by kind, in the order of reception."""
     states = run.gait_state

@@ -1,70 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The terminal view, and the layouts compared with the interfaces that they show."""
+"""The layouts, compared with the interfaces that they show."""
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import pytest
 import yaml
 
-from worm_model.parameters import PAPER
-from worm_model.run import Activity
-from worm_model.twin.data.records import Health
-from worm_model.twin.watch_view import CLEAR, View, render
-
 ROOT = Path(__file__).resolve().parents[4]
-ANSI = re.compile(r"\033\[\d+m")
-VIEW = View(
-    activity=Activity.RUNNING,
-    gait="70.0 mm at 0.200 Hz forward",
-    cycle=2,
-    cycles=5,
-    health=Health.SUSPECT,
-    message="the robot missed a groove",
-    twin=(0.1, 0.39),
-    robot=(0.0827, 0.3727),
-    rear_anchor=0.1,
-    power=(3.0, 6.0),
-)
-
-
-def text(view: View, width: int = 80) -> list[str]:
-    return [ANSI.sub("", line) for line in render(view, PAPER.pitch, width)]
-
-
-@pytest.mark.parametrize("width", [40, 47, 60, 80, 120])
-@pytest.mark.parametrize("view", [View(), VIEW])
-def test_no_line_is_wider_than_the_terminal(view, width):
-    lines = text(view, width)
-    assert max(map(len, lines)) <= width
-    assert CLEAR not in "".join(lines)
-    assert "nan" not in "".join(lines)
-
-
-def test_missing_data_is_shown_as_missing():
-    assert "no driver" in text(View())[0]
-    assert "(no twin)" in text(View())
-    assert any("grooves: -" in line for line in text(View()))
-    unseen = text(replace(VIEW, robot=(float("nan"), float("nan"))))
-    assert "#" not in unseen[5]
-
-
-def test_what_is_stale_is_not_shown_as_the_present():
-    fresh = VIEW.aged({"twin": 0.2, "tracker": 0.9, "power": 0.1, "driver": 0.0})
-    assert text(fresh) == text(VIEW)
-    old = text(VIEW.aged({"twin": 3.2, "tracker": 4.0, "power": 0.1, "driver": 70.0}))
-    assert old[1].split() == ["twin", "unknown"]
-    assert old[2] == "driver silent for 70 s, twin silent for 3 s, tracker silent for 4 s"
-    assert "(no twin)" in old
-    assert "#" not in "".join(old)
-    assert next(line for line in old if line[:2] == "x1").split() == ["x1", "mm", "-", "-", "-"]
-    alone = text(VIEW.aged({"twin": 3.2}))
-    assert next(line for line in alone if line[:5] == "power").split()[2:] == ["-", "6.00", "-"]
-    dark = VIEW.aged({"power": 1.5})
-    assert ["measured", "-", "W"] in [line.split() for line in text(dark)]
 
 
 def fields(name: str) -> set[str]:
