@@ -64,7 +64,6 @@ def _parser() -> command_line.Parser:
         part.add_argument(
             "--topic", action="append", default=[], help="topic to copy; may be repeated"
         )
-        part.add_definitions()
         part.add_number("--start", "S", "start of the span, in s since the start of the bag")
         part.add_number("--end", "S", "end of the span, in s since the start of the bag")
         part.add_argument(
@@ -84,7 +83,7 @@ def _opened(options: argparse.Namespace) -> Bag:
     from worm_model.bags.opening import open_bag
 
     notify = command_line.notifier(f"bags {options.verb}")
-    return open_bag(options.bag, notify, getattr(options, "definitions", None))
+    return open_bag(options.bag, notify)
 
 
 def _info(options: argparse.Namespace) -> None:

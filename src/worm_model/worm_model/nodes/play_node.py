@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,14 +26,22 @@ from worm_model.bags.formats.cdr import is_whole, types_of
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import Bag, open_bag
-from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    not_negative,
+    notifier,
+    number,
+    run_command,
+)
 from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.claim import ClaimedError, claim_robot
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two polls of the services
-REMINDER_S = 10.0  # between two log lines that name the awaited nodes
+TWIN = "twin"  # name of the twin's node
+REMINDER_S = 10.0  # between two log lines during the wait for the twin
 UNCHANGED_S = 1.0  # time without a change of the subscribers before the first message
 MATCHING_S = 3.0  # timeout for a subscriber that cannot be connected
 ACKNOWLEDGED_S = 2.0  # timeout for the last messages to reach their subscribers
@@ -92,8 +99,8 @@ class PlayNode(Node):
         self._begin = math.inf
         self._subscribers: dict[str, tuple[int, int]] = {}
         self._changed = time.monotonic()  # time of the last change of the subscribers
-        self._awaited: list[str] = list(options.wait_for)
-        if self._awaited:  # The player takes the place of the robot of its namespace.
+        self._awaits_twin: bool = options.twin
+        if options.twin:  # The player takes the place of the robot of its namespace.
             self._claim = claim_robot(self.get_namespace(), self.context.get_domain_id())
         self._reminder = time.monotonic() + REMINDER_S
         self.finished = False
@@ -118,7 +125,7 @@ class PlayNode(Node):
                 continue
             self._played[channel] = installed
         if not publishers:
-            raise InputError(f"{self._bag.path}: none of the selected topics can be played")
+            raise InputError(f"{self._bag.path}: none of its topics can be played")
         return publishers
 
     @staticmethod
@@ -132,10 +139,8 @@ class PlayNode(Node):
         return installed
 
     def _selected(self) -> Iterator[Topic]:
-        exclude = self._options.exclude
         for channel in self._bag.channels:
-            excluded = bool(exclude) and re.search(exclude, channel.name)
-            if not excluded and channel.name != "/clock":
+            if channel.name != "/clock" and not (self._options.twin and _is_of_twin(channel.name)):
                 yield channel
 
     def _rewind(self) -> None:
@@ -156,7 +161,7 @@ class PlayNode(Node):
     def advance(self) -> float:
         """Publish the messages that are due, and return the wall time (monotonic, s) at which to call this again."""
         wall = time.monotonic()
-        if self._begin > wall and not self._is_awaiting(wall) and self._is_connected(wall):
+        if self._begin > wall and not self._is_awaiting_twin(wall) and self._is_connected(wall):
             self._report_other_publishers()
             self._begin = wall
         while self._pending and self._due(self._pending.log_time) <= wall:
@@ -205,21 +210,19 @@ class PlayNode(Node):
         delay = UNCHANGED_S + (0.0 if connected else MATCHING_S)
         return wall >= self._changed + delay
 
-    def _is_awaiting(self, wall: float) -> bool:
-        """Return True while a node of --wait-for does not subscribe yet, and log its name every REMINDER_S."""
-        if not self._awaited:
-            return False
-        subscribers = {
-            (info.node_name, info.node_namespace)
-            for topic in self._publishers_by_topic
-            for info in self.get_subscriptions_info_by_topic(topic)
-        }
-        own = self.get_namespace()
-        self._awaited = [name for name in self._awaited if (name, own) not in subscribers]
-        if self._awaited and wall >= self._reminder:
+    def _is_awaiting_twin(self, wall: float) -> bool:
+        """Return True while --twin is given and the twin does not subscribe yet; log this every REMINDER_S."""
+        if self._awaits_twin:
+            twin = TWIN, self.get_namespace()
+            self._awaits_twin = all(
+                twin != (info.node_name, info.node_namespace)
+                for topic in self._publishers_by_topic
+                for info in self.get_subscriptions_info_by_topic(topic)
+            )
+        if self._awaits_twin and wall >= self._reminder:
             self._reminder = wall + REMINDER_S
-            self.get_logger().info(f"waiting for {', '.join(self._awaited)} to subscribe")
-        return bool(self._awaited)
+            self.get_logger().info("waiting for the twin to subscribe")
+        return self._awaits_twin
 
     def _publish(self, message: Message) -> None:
         if message.channel not in self._played:
@@ -253,6 +256,12 @@ class PlayNode(Node):
             publisher.wait_for_all_acked(deadline)
 
 
+def _is_of_twin(name: str) -> bool:
+    """Return True for a topic that a live twin publishes."""
+    own = name.endswith(("/body_length/estimated", "/tf")) or name == "/diagnostics"
+    return own or "/twin/" in name
+
+
 def _positive(text: str) -> float:
     value = number(text)
     if value <= 0.0:
@@ -278,12 +287,10 @@ def _parser() -> Parser:
         help="play from this time on, in s since the start of the bag",
     )
     parser.add_argument(
-        "--wait-for",
-        action="append",
-        default=[],
-        metavar="NODE",
-        help="publish the first message only when this node, in the player's namespace, subscribes to a played topic; "
-        "may be repeated",
+        "--twin",
+        action="store_true",
+        help="for the live twin in the player's namespace: publish the first message only when the twin subscribes, and "
+        "leave out the topics that it publishes",
     )
     parser.add_argument(
         "--clock",
@@ -292,18 +299,11 @@ def _parser() -> Parser:
         metavar="HZ",
         help="rate of /clock, 0: none (default 100)",
     )
-    parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics to exclude")
     return parser
 
 
 def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
-    try:
-        re.compile(options.exclude)
-    except re.error as error:
-        raise InputError(
-            f"--exclude {options.exclude!r} is not a regular expression: {error}"
-        ) from None
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, notifier("play")) as bag:
         length = bag.duration_s
         if not bag.message_count:
             raise InputError(f"{options.bag} contains no messages")
@@ -332,10 +332,6 @@ def _spin(node: PlayNode, executor: SingleThreadedExecutor, ended: Callable[[], 
         executor.spin_once(timeout_sec=0.0)
         time.sleep(max(due - time.monotonic(), 0.0))
     node.drain()
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"play: {line}\n")
 
 
 def main() -> int:

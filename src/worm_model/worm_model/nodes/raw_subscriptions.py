@@ -9,9 +9,7 @@ Polling does not affect the accuracy of stamps, because they come from the middl
 from __future__ import annotations
 
 import importlib
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rclpy.node import Node
@@ -31,48 +29,12 @@ from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import installed_definition
-from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
+from worm_model.bags.worm_topics import GAIT_STATE, IMAGES, TWIN_EVENT
 from worm_model.run import SAME_ONSET_NS, Activity, nanoseconds
 from worm_model.twin.cause_table import NEAR_EDGE
 from worm_msgs.node_command import declare_none
 
 DEPTH = 1000  # messages of a topic that may wait between two polls
-
-
-@dataclass(frozen=True)
-class TopicSelection:
-    """Topics selected by name, by regular expression, or all.
-
-    Attributes:
-        names: full topic names, always included.
-        everything: include all topics that are not hidden.
-        regex: pattern of further topics that are not hidden, searched for in the full name; empty: none.
-        exclude: pattern of topics that `everything` and `regex` do not include, searched for like `regex`; empty: none.
-    """
-
-    names: frozenset[str] = frozenset()
-    everything: bool = False
-    regex: str = ""
-    exclude: str = ""
-
-    def __post_init__(self) -> None:
-        if not (self.names or self.everything or self.regex):
-            raise BagError("no topics: name some, or give --regex or --all")
-        for pattern in (self.regex, self.exclude):
-            try:
-                re.compile(pattern)
-            except re.error as error:
-                raise BagError(f"{pattern!r} is not a regular expression: {error}") from None
-
-    def takes(self, topic: str) -> bool:
-        """Return True if a topic with this full name is recorded."""
-        if topic in self.names:
-            return True
-        if any(part.startswith("_") for part in topic.split("/")):
-            return False  # hidden topics, such as an action's feedback
-        if self.exclude and re.search(self.exclude, topic):
-            return False
-        return self.everything or bool(self.regex and re.search(self.regex, topic))
 
 
 class LossCounter:
@@ -185,17 +147,17 @@ def _describe_qos(publishers: Sequence[TopicEndpointInfo]) -> list[Mapping[str, 
 
 
 class RecordNode(Node):
-    """Node that subscribes to the selected topics as they appear.
+    """Node that subscribes to topics as they appear.
 
     Args:
-        selection: the topics; names relative to the node's namespace are resolved.
+        names: the topics; names relative to the node's namespace are resolved. If empty: all topics of the namespace
+            and /diagnostics, except IMAGES.
     """
 
-    def __init__(self, selection: TopicSelection) -> None:
+    def __init__(self, names: Iterable[str]) -> None:
         super().__init__("recorder")
         declare_none(self)
-        names = frozenset(map(self._full_name, selection.names))
-        self._selection = replace(selection, names=names)
+        self._names = frozenset(map(self._full_name, names))
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
         self._rejected: dict[str, str] = {}  # reason by name of a topic that cannot be recorded
         self._run, self._onset = 0, 0  # number and onset (ns) of the last reported run
@@ -242,7 +204,7 @@ class RecordNode(Node):
     @property
     def missing(self) -> list[str]:
         """Topics that were requested by name and are not subscribed: they have not appeared, or cannot be recorded."""
-        return sorted(self._selection.names - self._subscriptions_by_name.keys())
+        return sorted(self._names - self._subscriptions_by_name.keys())
 
     def why_missing(self, name: str) -> str:
         """Return the reason why a missing topic is not subscribed."""
@@ -264,17 +226,19 @@ class RecordNode(Node):
                     )
         for name, types in self.get_topic_names_and_types():
             new = name not in self._subscriptions_by_name and name not in self._rejected
-            if new and self._selection.takes(name) and self.count_publishers(name):
+            if new and self._selects(name, types) and self.count_publishers(name):
                 self._subscribe(name)
             if name in self._subscriptions_by_name and len(types) > 1:
-                self._warn_of_types(self._subscriptions_by_name[name].topic, types)
+                kind = self._subscriptions_by_name[name].topic.type_name
+                others = ", ".join(sorted(set(types) - {kind}))
+                self._warn(f"{name} is also published as {others}: only {kind} is recorded")
 
-    def _warn_of_types(self, topic: Topic, types: Sequence[str]) -> None:
-        """Log that a recorded topic has further types."""
-        others = ", ".join(sorted(set(types) - {topic.type_name}))
-        self._warn(
-            f"{topic.name} is also published as {others}: only {topic.type_name} is recorded"
-        )
+    def _selects(self, name: str, types: Collection[str]) -> bool:
+        if self._names:
+            return name in self._names
+        hidden = any(part.startswith("_") for part in name.split("/"))  # an action's feedback
+        own = name == "/diagnostics" or name.startswith(f"{self.get_namespace().rstrip('/')}/")
+        return own and not hidden and IMAGES.isdisjoint(types)
 
     def _warn(self, line: str) -> None:
         """Log a warning once."""
@@ -333,15 +297,13 @@ class RecordNode(Node):
 
         An event for information is no alarm.
         """
-        events: list[Any] = [
-            deserialize_message(sample.data, message_class(TWIN_EVENT))
-            for sample in samples
-            if sample.channel.type_name == TWIN_EVENT
-        ]
-        information = ("", NEAR_EDGE.code)
-        return next(
-            (e.message or e.code for e in reversed(events) if e.code not in information), ""
-        )
+        text = ""
+        for sample in samples:
+            if sample.channel.type_name == TWIN_EVENT:
+                event: Any = deserialize_message(sample.data, message_class(TWIN_EVENT))
+                if event.code not in ("", NEAR_EDGE.code):
+                    text = event.message or event.code
+        return text
 
     def _is_known(self, state: Any) -> bool:
         """Return True if a state belongs to the last reported run, and store its run as the last reported one.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -174,6 +174,8 @@ def messages_of(messages: Sequence[Message]) -> Messages:
 
 def concatenate(parts: Sequence[Messages]) -> Messages:
     """Return one block with all messages of the blocks, in the same order."""
+    if len(parts) == 1:
+        return parts[0]
     channels = tuple(dict.fromkeys(channel for part in parts for channel in part.channels))
     index = {channel: number for number, channel in enumerate(channels)}
     shift = np.cumsum([0, *(len(part.buffer) for part in parts)])[:-1]
@@ -184,26 +186,3 @@ def concatenate(parts: Sequence[Messages]) -> Messages:
     columns = zip(*(part._columns for part in moved), strict=True)
     buffer = np.concatenate([part.buffer for part in parts])
     return Messages(channels, buffer, *map(np.concatenate, columns))
-
-
-def merge(blocks: Iterable[tuple[int, Messages]]) -> Iterator[Messages]:
-    """Yield messages in order of log time from blocks that may overlap in time.
-
-    Only blocks that overlap are in memory at the same time.
-
-    Args:
-        blocks: pairs of time (ns since the epoch) and block, in order of time. No message in the block, or in the
-            following blocks, is earlier than this time.
-    """
-    pending: Messages | None = None
-    for start, block in blocks:
-        if pending is None:
-            pending = block.sorted()
-            continue
-        ready = int(np.searchsorted(pending.log_time, np.uint64(start)))
-        if ready:
-            yield pending.select(slice(ready))
-        rest = pending.select(slice(ready, None)).compact()
-        pending = concatenate([rest, block]).sorted() if len(rest) else block.sorted()
-    if pending is not None and len(pending):
-        yield pending
