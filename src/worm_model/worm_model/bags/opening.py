@@ -93,7 +93,9 @@ def _split_number(name: str) -> tuple[int, str]:
 
 def _open_file(path: Path) -> StoredFile:
     if path.suffix == ".zstd":
-        raise BagError(f"{path} is compressed as a whole: decompress it (zstd -d) and open the file")
+        raise BagError(
+            f"{path} is compressed as a whole: decompress it (zstd -d) and open the file"
+        )
     if path.suffix != ".db3":
         return McapFile(path)
     from worm_model.bags.formats.sqlite_file import SqliteFile  # here: rosbags.rosbag2 loads slowly

@@ -84,7 +84,9 @@ def offered_qos(name: str) -> str:
     """Return the QoS of one of the worm's topics (a key of TYPES) as YAML, in the format of a bag's channel."""
     durability = "transient_local" if name in _TRANSIENT_LOCAL else "volatile"
     depth = 1 if name in LATCHED else 10
-    return dump_yaml([qos_profile("keep_last", depth, "reliable", durability, "automatic", FOREVER)])
+    return dump_yaml(
+        [qos_profile("keep_last", depth, "reliable", durability, "automatic", FOREVER)]
+    )
 
 
 def find_topic(channels: Iterable[Topic], name: str, namespace: str = "") -> Topic | None:

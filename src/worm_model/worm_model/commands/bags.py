@@ -75,7 +75,7 @@ def _parser() -> command_line.Parser:
 def _table(options: argparse.Namespace) -> None:
     from worm_model.commands.bag_runs import bag_rows, describe
 
-    rows, _ = bag_rows(options.folder, options.parameters, command_line.ProgressLine("bags"))
+    rows = bag_rows(options.folder, options.parameters, command_line.ProgressLine("bags"))
     command_line.print_result(options, {"runs": rows}, describe(rows, options.folder))
 
 

@@ -44,9 +44,7 @@ def _health(options: argparse.Namespace) -> None:
         if not path.exists():
             raise InputError(f"{path}: does not exist")
     known = load_parameter_file(options.parameters)
-    bags, left_out = estimate_bags(
-        options.bags, known.parameters, ProgressLine("health")
-    )
+    bags, left_out = estimate_bags(options.bags, known.parameters, ProgressLine("health"))
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(

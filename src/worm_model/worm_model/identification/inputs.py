@@ -114,9 +114,7 @@ def _grouped_remarks(recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def read_recordings(
-    paths: Sequence[Path], logs: LabSettings = LOGS
-) -> list[Recording]:
+def read_recordings(paths: Sequence[Path], logs: LabSettings = LOGS) -> list[Recording]:
     """Read all runs in bags and in a lab's folders; each path may contain several runs."""
     recordings = []
     for path in paths:

@@ -289,8 +289,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--twin",
         action="store_true",
-        help="for the live twin in the player's namespace: publish the first message only when the twin subscribes, and "
-        "leave out the topics that it publishes",
+        help="for the live twin in the player's namespace: begin when the twin subscribes, and leave out the topics "
+        "that it publishes",
     )
     parser.add_argument(
         "--clock",

@@ -64,7 +64,7 @@ class RobotGraph:
             )
 
     def wait_for_recorder(self, name: str) -> None:
-        """Wait until a recorder has subscribed to all topics of this namespace that it selects and that have publishers.
+        """Wait until a recorder has subscribed to all topics of this namespace that have publishers, except images.
 
         Without this wait, the recording would lack the first messages.
 

@@ -13,7 +13,7 @@ from recorded_run import simulated_run, write_bag
 
 from worm_model.bags.formats.bag_errors import DefinitionError
 from worm_model.bags.formats.bag_writer import new_bag
-from worm_model.bags.formats.cdr import ColumnBuilder, encode
+from worm_model.bags.formats.cdr import decode, encode
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import SEPARATOR, parse_types, topic_of
 from worm_model.bags.opening import open_bag
@@ -121,9 +121,7 @@ def test_idl_as_rosidl_emits_it_gives_the_fields_of_the_same_messages():
     assert found == parse_types("demo_msgs/msg/Arm", SAME, "ros2msg")
     arm = Topic("/arm", "demo_msgs/msg/Arm", 0, DEFINITION, "ros2idl", "cdr")
     (data,) = encode(arm, 1, {"stamp.sec": 7, "speed": [[1.0, 2.0, 3.0]]}, {"label": "left"})
-    builder = ColumnBuilder()
-    builder.add(messages_of([Message("/arm", 0, data, 0, arm)]))
-    columns = builder.columns()
+    columns = decode(messages_of([Message("/arm", 0, data, 0, arm)]))
     assert columns.numbers["speed"].tolist() == [[1.0, 2.0, 3.0]]
     assert columns.numbers["joints[1].angle"].tolist() == [0.0]
     assert columns.texts["label"] == ["left"]

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of the topics of a recording; lost messages are counted, whatever the publishers do."""
+"""Lost messages are counted, whatever the publishers do."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_model.bags.formats.bag_errors import BagError
-
 pytest.importorskip("rclpy", reason="no ROS is installed")
-from worm_model.nodes.raw_subscriptions import LossCounter, TopicSelection
+from worm_model.nodes.raw_subscriptions import LossCounter
 
 
 def observe(sequences: list[int], publishers: int = 1) -> int:
@@ -52,29 +50,3 @@ def test_a_second_publisher_that_is_far_ahead_has_lost_nothing():
 
 def test_a_restarted_publisher_has_lost_nothing():
     assert observe([1, 2, 3, 1, 2]) == 0
-
-
-@pytest.mark.parametrize(
-    ("selection", "selected"),
-    [
-        ({"names": frozenset({"/worm/power"})}, {"/worm/power"}),
-        ({"everything": True}, {"/worm/power", "/worm/tracker", "/rosout"}),
-        ({"everything": True, "exclude": "out$"}, {"/worm/power", "/worm/tracker"}),
-        ({"regex": "^/worm/.*er"}, {"/worm/power", "/worm/tracker"}),
-        ({"regex": "feedback"}, set()),
-        (
-            {"names": frozenset({"/worm/run_gait/_action/feedback"}), "exclude": "feedback"},
-            {"/worm/run_gait/_action/feedback"},
-        ),
-    ],
-)
-def test_selection(selection: dict, selected: set[str]):
-    topics = {"/worm/power", "/worm/tracker", "/rosout", "/worm/run_gait/_action/feedback"}
-    chosen = TopicSelection(**selection)
-    assert {topic for topic in topics if chosen.takes(topic)} == selected
-
-
-@pytest.mark.parametrize("selection", [{}, {"regex": "("}, {"everything": True, "exclude": "*"}])
-def test_empty_and_invalid_selections_are_rejected(selection: dict):
-    with pytest.raises(BagError):
-        TopicSelection(**selection)

@@ -14,7 +14,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns, encode
+from worm_model.bags.formats.cdr import MessageColumns, encode
+from worm_model.bags.formats.cdr import decode as decode_block
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.run_writer import stamped_messages
@@ -41,11 +42,9 @@ TEXTS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]
 
 def decode(payloads: list[bytes], *topics: Topic) -> MessageColumns:
     """Return columns of messages, of each topic in turn if there are several."""
-    builder = ColumnBuilder()
     channels = [topics[i % len(topics)] for i in range(len(payloads))]
     rows = zip(payloads, channels, strict=True)
-    builder.add(messages_of([Message(c.name, 0, data, 0, c) for data, c in rows]))
-    return builder.columns()
+    return decode_block(messages_of([Message(c.name, 0, data, 0, c) for data, c in rows]))
 
 
 def bare(type_name: str, definition: str, kind: str = "ros2msg") -> Topic:

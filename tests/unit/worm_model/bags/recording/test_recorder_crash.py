@@ -22,10 +22,11 @@ SOURCES = [
 
 # Records a counter as fast as possible, and prints after each synchronisation how many messages are safe.
 RECORD = """
-import struct, sys, time
+import struct, sys
 from pathlib import Path
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.recording.recorder import BagRecorder, Manifest, RecordingThread
+from worm_model.bags.recording import recorder
+from worm_model.bags.recording.recorder import BagRecorder, Manifest
 
 class Telling(BagRecorder):
     def sync(self):
@@ -34,20 +35,19 @@ class Telling(BagRecorder):
         print(safe, flush=True)
 
 topic = Topic("/counter", "std_msgs/msg/UInt64", 0, "uint64 data\\n", "ros2msg", "cdr")
-recorder = Telling(Path(sys.argv[1]), Manifest({"worm_run": {"seed": "4"}}))
-thread = RecordingThread(recorder, sync_s=0.02, backlog_bytes=10**8)
+recorder.SYNC_S = 0.02
+bag = Telling(Path(sys.argv[1]), Manifest({"worm_run": {"seed": "4"}}))
 count = 0
-while thread.error is None:
-    batch = [
-        Message(topic.name, i + 1, b"\\0\\1\\0\\0" + struct.pack("<Q", i), i + 1, topic)
-        for i in range(count, count + 100)
-    ]
-    thread.offer(batch)
+while True:
+    try:
+        bag.record([
+            Message(topic.name, i + 1, b"\\0\\1\\0\\0" + struct.pack("<Q", i), i + 1, topic)
+            for i in range(count, count + 100)
+        ])
+    except OSError as error:
+        print(error.strerror, flush=True)
+        sys.exit(1)
     count += 100
-    time.sleep(0.002)
-thread.close()
-print(thread.error.strerror, flush=True)  # an OSError
-sys.exit(1)
 """
 
 
