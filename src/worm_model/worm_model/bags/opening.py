@@ -137,8 +137,7 @@ class Bag:
     Attributes:
         channels: topics with their layouts; a topic whose layout changes occurs once for each layout.
         topics: topics by name. Each topic has its last layout, and its count includes the messages of all layouts.
-        records: metadata records in the order of the files; identical records occur once. A recording has one record
-            ``worm_gait`` for each gait that was run.
+        records: metadata records in the order of the files; identical records occur once.
         spans: first and last log time (ns since the epoch) of each part of the bag without a gap.
         damage: one line for each file that is not complete.
         remarks: one line for each inconsistency of a file.

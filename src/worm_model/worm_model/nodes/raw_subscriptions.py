@@ -30,7 +30,7 @@ from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import installed_definition
 from worm_model.bags.worm_topics import GAIT_STATE, IMAGES, TWIN_EVENT
-from worm_model.run import SAME_ONSET_NS, Activity, nanoseconds
+from worm_model.run import Activity
 from worm_model.twin.cause_table import NEAR_EDGE
 from worm_msgs.node_command import declare_none
 
@@ -160,8 +160,6 @@ class RecordNode(Node):
         self._names = frozenset(map(self._full_name, names))
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
         self._rejected: dict[str, str] = {}  # reason by name of a topic that cannot be recorded
-        self._run, self._onset = 0, 0  # number and onset (ns) of the last reported run
-        self._reported = False
         self._drivers: dict[str, int] = {}  # last state of each driver, by topic
         self._warned: set[str] = set()
 
@@ -202,13 +200,10 @@ class RecordNode(Node):
         return sum(subscription.loss.lost for subscription in self._subscriptions_by_name.values())
 
     @property
-    def missing(self) -> list[str]:
-        """Topics that were requested by name and are not subscribed: they have not appeared, or cannot be recorded."""
-        return sorted(self._names - self._subscriptions_by_name.keys())
-
-    def why_missing(self, name: str) -> str:
-        """Return the reason why a missing topic is not subscribed."""
-        return self._rejected.get(name, "no publisher was found")
+    def missing(self) -> dict[str, str]:
+        """Reasons by name of the topics that were requested by name and are not subscribed."""
+        missing = sorted(self._names - self._subscriptions_by_name.keys())
+        return {name: self._rejected.get(name, "no publisher was found") for name in missing}
 
     @property
     def topics(self) -> list[Topic]:
@@ -274,15 +269,21 @@ class RecordNode(Node):
             for sample in subscription.take()
         ]
 
-    def new_gaits(self, samples: Sequence[Message]) -> Iterator[dict[str, str]]:
-        """Yield the fields of each gait that has begun according to the messages, once per run."""
+    def observe(self, samples: Sequence[Message]) -> str:
+        """Store the states of drivers in some messages, and return the text of the twin's last alarm in them, or "".
+
+        An event for information is no alarm.
+        """
+        alarm = ""
         for sample in samples:
-            if sample.channel.type_name == GAIT_STATE:
-                state: Any = deserialize_message(sample.data, message_class(GAIT_STATE))
-                self._drivers[sample.topic] = state.state
-                gait = _describe_gait(state)
-                if gait and not self._is_known(state):
-                    yield gait
+            kind = sample.channel.type_name
+            if kind in (GAIT_STATE, TWIN_EVENT):
+                message: Any = deserialize_message(sample.data, message_class(kind))
+                if kind == GAIT_STATE:
+                    self._drivers[sample.topic] = message.state
+                elif message.code not in ("", NEAR_EDGE.code):
+                    alarm = message.message or message.code
+        return alarm
 
     @property
     def awaits_rest(self) -> bool:
@@ -291,31 +292,6 @@ class RecordNode(Node):
             state != Activity.INACTIVE and self.count_publishers(topic) > 0
             for topic, state in self._drivers.items()
         )
-
-    def alarm(self, samples: Sequence[Message]) -> str:
-        """Return the text of the twin's last alarm in the messages; empty without an alarm.
-
-        An event for information is no alarm.
-        """
-        text = ""
-        for sample in samples:
-            if sample.channel.type_name == TWIN_EVENT:
-                event: Any = deserialize_message(sample.data, message_class(TWIN_EVENT))
-                if event.code not in ("", NEAR_EDGE.code):
-                    text = event.message or event.code
-        return text
-
-    def _is_known(self, state: Any) -> bool:
-        """Return True if a state belongs to the last reported run, and store its run as the last reported one.
-
-        A different onset makes it another run even with the same number, because a restarted driver counts from 1. The
-        onset of one run may differ slightly between states.
-        """
-        onset = nanoseconds(state.onset)
-        same_onset = not self._onset or abs(onset - self._onset) <= SAME_ONSET_NS
-        known = self._reported and state.run == self._run and same_onset
-        self._reported, self._run, self._onset = True, state.run, onset
-        return known
 
 
 def message_class(type_name: str) -> type:
@@ -334,15 +310,3 @@ def message_class(type_name: str) -> type:
             f"{name} is not installed; source the workspace that contains it"
         ) from None
     return kind_class
-
-
-def _describe_gait(state: Any) -> dict[str, str]:
-    """Return the fields of a running gait as text; empty if none runs."""
-    if state.state != state.RUNNING or state.gait.stroke <= 0.0:
-        return {}
-    gait = {key: repr(getattr(state.gait, key)) for key in state.gait.get_fields_and_field_types()}
-    return gait | {
-        "cycles": str(state.cycles),
-        "onset_ns": str(nanoseconds(state.onset)),
-        "run": str(state.run),
-    }

@@ -14,7 +14,7 @@ from worm_model.bags.formats.bag_errors import BagError, UnwritableError
 from worm_model.bags.formats.finding import TIME_FIELD, dated
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.recording_session import RecordingSession, after_crash
-from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
+from worm_model.bags.recording.run_manifest import is_text, run_manifest
 from worm_model.commands import command_line
 from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs.conditions import conditions_of
@@ -136,10 +136,8 @@ class _Recorder:
         """Pass received messages on to the session."""
         messages = self._node.take()
         self._session.offer(messages)
-        for gait in self._node.new_gaits(messages):
-            self._session.note(GAIT_RECORD, gait)
-        alarm = self._node.alarm(messages) if self._session.ring_s else ""
-        if alarm:
+        alarm = self._node.observe(messages)
+        if alarm and self._session.ring_s:
             try:
                 outcome = self._session.snapshot()
             except (BagError, OSError) as error:  # The next snapshot may succeed.
@@ -204,14 +202,14 @@ def _report(
 ) -> int:
     recording.show("\n")
     notify = command_line.notifier("record")
-    for name in node.missing:
-        notify(f"{name} is not recorded: {node.why_missing(name)}")
+    for name, reason in node.missing.items():
+        notify(f"{name} is not recorded: {reason}")
     if arguments.json:
         outcome = {
             "bag": str(session.output),
             "bags": [str(bag) for bag in session.bags],
             **recording.totals(),
-            "missing": node.missing,
+            "missing": list(node.missing),
         }
         command_line.print_json(outcome)
     error = session.error

@@ -100,10 +100,9 @@ class ColumnBuilder:
     def _add_channel(self, messages: Messages, waiting: Integers, topic: Topic) -> None:
         types = types_of(topic)
         while len(waiting):
-            first = int(waiting[0])
-            layout = _Layout(messages.payload(first), topic.type_name, types)
-            candidates = waiting[messages.size[waiting] == messages.size[first]]
+            candidates = waiting[messages.size[waiting] == messages.size[waiting[0]]]
             data = messages.payloads(candidates)
+            layout = _Layout(data[0].tobytes(), topic.type_name, types)
             same = layout.fits(data)
             rows = candidates[same] + self._count
             for path, values in layout.numbers(data[same]):

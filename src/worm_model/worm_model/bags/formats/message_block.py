@@ -93,10 +93,6 @@ class Messages:
     def _columns(self) -> tuple[Any, ...]:
         return self.channel, self.offset, self.size, self.log_time, self.publish_time
 
-    def payload(self, row: int) -> bytes:
-        """Return the bytes of one of the messages."""
-        return self.buffer[self.offset[row] :][: self.size[row]].tobytes()
-
     def payloads(self, rows: Integers) -> Bytes:
         """Return the bytes of some messages of the same size, shape (len(rows), size)."""
         size = int(self.size[rows[0]])

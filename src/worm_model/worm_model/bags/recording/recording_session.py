@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from operator import methodcaller
 from pathlib import Path
 
@@ -45,7 +45,6 @@ class RecordingSession:
         self._manifest = manifest
         self._ring = _Ring(round(ring_s * 1e9))
         self._snapshots = 0
-        self._notes: dict[str, Mapping[str, str]] = {}
         self._topics: dict[Topic, None] = {}
         self._bag = None if ring_s else self._begin(output)
 
@@ -63,11 +62,6 @@ class RecordingSession:
             if topic not in self._topics:
                 self._topics[topic] = None
                 self._write(methodcaller("add_topic", topic))
-
-    def note(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record to the present and the following bags."""
-        self._notes[name] = values
-        self._write(methodcaller("add_metadata", name, values))
 
     def snapshot(self) -> str:
         """Write the content of the ring buffer into a separate bag, and return a text about the outcome."""
@@ -95,8 +89,6 @@ class RecordingSession:
     def _begin(self, directory: Path) -> BagRecorder:
         bag = BagRecorder(directory, self._manifest())
         self.bags.append(directory)
-        for name, values in self._notes.items():
-            bag.add_metadata(name, values)
         for topic in self._topics:
             bag.add_topic(topic)
         return bag

@@ -26,7 +26,6 @@ def test_messages_are_what_they_were_put_together_from(messages):
     block = messages_of(messages)
     assert list(block) == messages
     assert list(block.compact()) == messages
-    assert [block.payload(row) for row in range(len(block))] == [m.data for m in messages]
     assert list(block.sorted()) == sorted(messages, key=lambda m: m.log_time)
     assert list(concatenate([block, block.sorted()])) == [*block, *block.sorted()]
     by_topic = {name: list(part) for name, part in block.by_topic()}

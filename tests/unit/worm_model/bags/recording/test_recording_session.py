@@ -51,13 +51,11 @@ def test_a_bag_holds_messages_notes_and_topics_of_which_nothing_came(tmp_path: P
     recording.offer([message(1), message(2)])
     recording.offer([])
     recording.add_topics([TOPIC, LATCHED])
-    recording.note("worm_gait", {"stroke": "0.07"})
     recording.close()
     assert (recording.messages, recording.bytes, recording.error) == (2, 24, None)
     assert seconds(tmp_path / "bag") == [1, 2]
     with open_bag(tmp_path / "bag") as bag:
         assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 2, "/state": 0}
-        assert bag.metadata["worm_gait"] == {"stroke": "0.07"}
 
 
 def test_a_full_disk_ends_the_recording_and_what_was_synchronised_stays(
@@ -95,7 +93,6 @@ def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
     recording.offer([message(1, LATCHED), message(2, LATCHED)])
     for value in range(3, 20):
         recording.offer([message(value)])
-    recording.note("worm_gait", {"stroke": "0.07"})
     assert "bag_snapshot_1" in recording.snapshot()
     recording.offer([message(20)])
     recording.snapshot()
@@ -103,8 +100,6 @@ def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
     assert [bag.name for bag in recording.bags] == ["bag_snapshot_1", "bag_snapshot_2"]
     assert [seconds(bag) for bag in recording.bags] == [[2, *range(14, 20)], [2, 20]]
     assert not (tmp_path / "bag").exists()
-    with open_bag(recording.bags[1]) as bag:
-        assert bag.metadata["worm_gait"] == {"stroke": "0.07"}
 
 
 def test_a_snapshot_that_cannot_be_written_keeps_its_messages(tmp_path: Path):
