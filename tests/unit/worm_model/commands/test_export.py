@@ -4,9 +4,7 @@
 import csv
 import json
 import math
-import struct
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -169,18 +167,6 @@ def test_topics_whose_names_would_be_the_same_file_are_two(tmp_path: Path, monke
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 0
     assert json.loads(capsys.readouterr().out)["rows"] == {"a__b.csv": 1, "a__b_2.csv": 1}
     assert table(tmp_path / "csv" / "a__b_2.csv")["x"] == ["1"]
-
-
-def test_two_layouts_of_a_topic_are_one_table(tmp_path: Path, monkeypatch):
-    """A field that was added later is empty in earlier messages."""
-    old = Topic("/a", "a/msg/B", 0, "int32 x\n", "ros2msg", "cdr")
-    new = replace(old, definition="int32 run\nint32 x\n")
-    with new_bag(tmp_path / "bag") as writer:
-        writer.write(old, b"\0\1\0\0" + struct.pack("<i", 7), 0, 0)
-        writer.write(new, b"\0\1\0\0" + struct.pack("<ii", 1, 8), 1, 1)
-    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
-    found = table(tmp_path / "csv" / "a.csv")
-    assert (found["x"], found["run"]) == (["7", "8"], ["", "1"])
 
 
 def test_only_the_requested_topics(bag: Path, tmp_path: Path, monkeypatch):

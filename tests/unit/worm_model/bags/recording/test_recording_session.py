@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from worm_model.bags.formats.bag_errors import BagError, ExistsError
 from worm_model.bags.formats.finding import dated
@@ -44,14 +45,21 @@ def seconds(bag: Path) -> list[int]:
         return [m.log_time // SECOND for m in opened.messages()]
 
 
-def test_a_bag_holds_messages_notes_and_topics_of_which_nothing_came(tmp_path: Path):
+def state(bag: Path) -> str:
+    content = yaml.safe_load((bag / "metadata.yaml").read_text())
+    return content["rosbag2_bagfile_information"]["custom_data"]["state"]
+
+
+def test_a_bag_holds_messages_and_topics_of_which_nothing_came(tmp_path: Path):
     """A topic without messages differs from a topic without a subscription."""
     recording = session(tmp_path / "bag")
     recording.add_topics([TOPIC, LATCHED])
     recording.offer([message(1), message(2)])
     recording.offer([])
     recording.add_topics([TOPIC, LATCHED])
+    assert state(tmp_path / "bag") == "being recorded"  # metadata.yaml exists from the start
     recording.close()
+    assert state(tmp_path / "bag") == "closed"
     assert (recording.messages, recording.bytes, recording.error) == (2, 24, None)
     assert seconds(tmp_path / "bag") == [1, 2]
     with open_bag(tmp_path / "bag") as bag:
