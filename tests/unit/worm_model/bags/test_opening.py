@@ -41,12 +41,29 @@ def payload(value: int) -> bytes:
     return b"\x00\x01\x00\x00" + struct.pack("<Q", value)
 
 
+FOREVER = QosTime(9223372036, 854775807)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    FOREVER,
+    FOREVER,
+    QosLiveliness.AUTOMATIC,
+    FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
+
+
 def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int = 9) -> Path:
     writer = RosbagsWriter(path, version=version, storage_plugin=plugin)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         store = get_typestore(Stores.ROS2_JAZZY)
-        connections = [writer.add_connection(t, TYPE, typestore=store) for t in ("/a", "/b")]
+        connections = [
+            writer.add_connection(t, TYPE, typestore=store, offered_qos_profiles=[LATCHED])
+            for t in ("/a", "/b")
+        ]
         for i in range(COUNT):
             writer.write(connections[i % 2], i * 1000 + 1, payload(i))
     return path
@@ -95,7 +112,8 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "rosbags mcap version 8": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, NONE, 8),
     "rosbags mcap compressed chunks": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, STORAGE),
     "rosbags sqlite3": lambda d: by_rosbags(d / "bag", StoragePlugin.SQLITE3, NONE),
-    "a sqlite3 file": lambda d: next(
+    "rosbags sqlite3 version 8": lambda d: by_rosbags(d / "bag", StoragePlugin.SQLITE3, NONE, 8),
+    "a sqlite3 file by rosbags": lambda d: next(
         by_rosbags(d / "b", StoragePlugin.SQLITE3, NONE).glob("*.db3")
     ),
     "mcap zstd": lambda d: by_mcap(d / "a.mcap"),
@@ -113,35 +131,6 @@ def numbers(bag: Bag, topics: list[str] | None = None) -> list[int]:
     return [struct.unpack_from("<Q", m.data, 4)[0] for m in bag.messages(topics)]
 
 
-@pytest.mark.parametrize("version", [8, 9])
-@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
-def test_the_quality_of_service_of_a_topic_is_kept(
-    tmp_path: Path, plugin: StoragePlugin, version: int
-):
-    forever = QosTime(9223372036, 854775807)
-    latched = Qos(
-        QosHistory.KEEP_LAST,
-        1,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL,
-        forever,
-        forever,
-        QosLiveliness.AUTOMATIC,
-        forever,
-        avoid_ros_namespace_conventions=False,
-    )
-    with RosbagsWriter(tmp_path / "bag", version=version, storage_plugin=plugin) as writer:
-        connection = writer.add_connection(
-            "/a", TYPE, typestore=get_typestore(Stores.ROS2_JAZZY), offered_qos_profiles=[latched]
-        )
-        writer.write(connection, 1, payload(1))
-    with open_bag(tmp_path / "bag") as bag:
-        (profile,) = qos_profiles(bag.topics["/a"].offered_qos)
-    assert (profile["durability"], profile["reliability"]) == ("transient_local", "reliable")
-    assert (profile["history"], profile["depth"]) == ("keep_last", 1)
-    assert profile["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
-
-
 @pytest.mark.parametrize("writer", WRITERS)
 def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str):
     with open_bag(WRITERS[writer](tmp_path)) as bag:
@@ -155,6 +144,11 @@ def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str
         assert numbers(bag, []) == []
         assert sum(len(block) for block in bag.blocks()) == COUNT
         assert sum(len(block) for block in bag.blocks(["/b"])) == COUNT // 2
+        if "rosbags" in writer:
+            (profile,) = qos_profiles(bag.topics["/a"].offered_qos)
+            assert (profile["durability"], profile["depth"]) == ("transient_local", 1)
+            assert (profile["reliability"], profile["history"]) == ("reliable", "keep_last")
+            assert profile["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
 
 
 def test_files_of_a_split_bag_are_one(tmp_path: Path):
