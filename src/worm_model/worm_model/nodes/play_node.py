@@ -41,7 +41,6 @@ from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two polls of the services
 TWIN = "twin"  # name of the twin's node
-REMINDER_S = 10.0  # between two log lines during the wait for the twin
 UNCHANGED_S = 1.0  # time without a change of the subscribers before the first message
 MATCHING_S = 3.0  # timeout for a subscriber that cannot be connected
 ACKNOWLEDGED_S = 2.0  # timeout for the last messages to reach their subscribers
@@ -49,26 +48,21 @@ LATEST_S = 2**31 - 1  # s since the epoch, the latest time of a message (year 20
 VOLATILE_DEPTH = 1000  # samples that may wait for a slow subscriber
 
 
-def _latched_depth(topic: Topic) -> int:
-    """Return the number of samples for late subscribers.
-
-    This is the depth of the first recorded publisher, or 1 if the depth is unknown or larger than VOLATILE_DEPTH.
-    """
-    depth = first_qos_profile(topic).get("depth")
-    return depth if isinstance(depth, int) and 0 < depth <= VOLATILE_DEPTH else 1
-
-
 def play_qos(topic: Topic) -> QoSProfile:
     """Return the quality of service of a played topic, which is that of its first recorded publisher.
 
     If the bag contains no quality of service, the topic is reliable and latched. This is compatible with every
-    subscriber.
+    subscriber. Late subscribers of a latched topic receive as many samples as from that publisher, or 1 if its depth is
+    unknown or larger than VOLATILE_DEPTH.
     """
     offered = first_qos_profile(topic)
     latched = is_latched(topic) or not offered
     best_effort = offered.get("reliability") == "best_effort"
+    depth = offered.get("depth")
+    if not isinstance(depth, int) or not 0 < depth <= VOLATILE_DEPTH:
+        depth = 1
     return QoSProfile(
-        depth=_latched_depth(topic) if latched else VOLATILE_DEPTH,
+        depth=depth if latched else VOLATILE_DEPTH,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
@@ -102,7 +96,7 @@ class PlayNode(Node):
         self._awaits_twin: bool = options.twin
         if options.twin:  # The player takes the place of the robot of its namespace.
             self._claim = claim_robot(self.get_namespace(), self.context.get_domain_id())
-        self._reminder = time.monotonic() + REMINDER_S
+            self.get_logger().info("waiting for the twin to subscribe")
         self.finished = False
         self.published = 0
         self._rewind()
@@ -161,7 +155,7 @@ class PlayNode(Node):
     def advance(self) -> float:
         """Publish the messages that are due, and return the wall time (monotonic, s) at which to call this again."""
         wall = time.monotonic()
-        if self._begin > wall and not self._is_awaiting_twin(wall) and self._is_connected(wall):
+        if self._begin > wall and not self._is_awaiting_twin() and self._is_connected(wall):
             self._report_other_publishers()
             self._begin = wall
         while self._pending and self._due(self._pending.log_time) <= wall:
@@ -210,8 +204,8 @@ class PlayNode(Node):
         delay = UNCHANGED_S + (0.0 if connected else MATCHING_S)
         return wall >= self._changed + delay
 
-    def _is_awaiting_twin(self, wall: float) -> bool:
-        """Return True while --twin is given and the twin does not subscribe yet; log this every REMINDER_S."""
+    def _is_awaiting_twin(self) -> bool:
+        """Return True while --twin is given and the twin does not subscribe yet."""
         if self._awaits_twin:
             twin = TWIN, self.get_namespace()
             self._awaits_twin = all(
@@ -219,9 +213,6 @@ class PlayNode(Node):
                 for topic in self._publishers_by_topic
                 for info in self.get_subscriptions_info_by_topic(topic)
             )
-        if self._awaits_twin and wall >= self._reminder:
-            self._reminder = wall + REMINDER_S
-            self.get_logger().info("waiting for the twin to subscribe")
         return self._awaits_twin
 
     def _publish(self, message: Message) -> None:

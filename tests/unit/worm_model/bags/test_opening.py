@@ -228,6 +228,7 @@ def check_one_line(error: pytest.ExceptionInfo[BagError], *facts: str) -> None:
         ("no", None, ["no does not exist"]),
         ("folder/notes.txt", b"x", ["not a bag", "notes.txt"]),
         ("a.mcap", b"", ["empty"]),
+        ("a.mcap.zstd", b"", ["compressed as a whole", "zstd -d"]),
         ("a.mcap", b"#ROSBAG V2.0\n", ["a.mcap"]),
         ("a.db3", b"#ROSBAG V2.0\n", ["a.db3"]),
     ],
