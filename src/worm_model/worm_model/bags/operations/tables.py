@@ -37,7 +37,7 @@ def read_tables(bag: Bag, topics: Collection[str]) -> tuple[dict[str, Table], di
                     builders[name].add(messages.within(readable))
             except BagError as error:
                 left_out[name] = str(error)
-    tables = {}
+    tables: dict[str, Table] = {}
     for name, builder in builders.items():
         if name not in left_out:
             tables[name] = dict(_columns(builder.columns()))
