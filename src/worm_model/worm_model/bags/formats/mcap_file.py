@@ -114,6 +114,7 @@ class McapFile(StoredFile):
             number: _topic(channel, self._schemas.get(channel.schema_id), self._counts[number])
             for number, channel in sorted(self._channels.items())
         }
+        self._topics = tuple(self.channels.values())
         for number in self._counts.keys() - self.channels.keys():
             self.remarks.append(
                 f"{self._counts[number]} messages of channel {number} have no definition"
@@ -124,13 +125,13 @@ class McapFile(StoredFile):
         part = self._data[extent.first : extent.last]
         records = part if part[0] == _MESSAGE else _content(part)[0]
         offset, heads, _ = _sorted_out(records)
-        lookup = np.full(1 << 16, -1)
+        channel = np.full(len(heads), -1)
         for row, (number, topic) in enumerate(self.channels.items()):
-            lookup[number] = row if topic.name in topics else -1
-        channel = lookup[heads["channel"].astype(np.int64)]
+            if topic.name in topics:
+                channel[heads["channel"] == number] = row
         rows = np.flatnonzero(channel >= 0)
         return Messages(
-            tuple(self.channels.values()),
+            self._topics,
             np.frombuffer(records, np.uint8),
             channel[rows],
             offset[rows] + _HEAD.itemsize,

@@ -172,13 +172,19 @@ def concatenate(parts: Sequence[Messages]) -> Messages:
     """Return one block with all messages of the blocks, in the same order."""
     if len(parts) == 1:
         return parts[0]
-    channels = tuple(dict.fromkeys(channel for part in parts for channel in part.channels))
+    files = {id(part.channels): part.channels for part in parts}  # usually one file
+    channels = tuple(dict.fromkeys(channel for each in files.values() for channel in each))
     index = {channel: number for number, channel in enumerate(channels)}
-    shift = np.cumsum([0, *(len(part.buffer) for part in parts)])[:-1]
-    moved = []
-    for part, start in zip(parts, shift, strict=True):
-        numbers = np.array([index[channel] for channel in part.channels], np.int64)
-        moved.append(replace(part, channel=numbers[part.channel], offset=part.offset + start))
-    columns = zip(*(part._columns for part in moved), strict=True)
-    buffer = np.concatenate([part.buffer for part in parts])
-    return Messages(channels, buffer, *map(np.concatenate, columns))
+    numbers = {
+        key: np.array([index[channel] for channel in each], np.int64) for key, each in files.items()
+    }
+    start = np.cumsum([0, *(len(part.buffer) for part in parts)])
+    return Messages(
+        channels,
+        np.concatenate([part.buffer for part in parts]),
+        np.concatenate([numbers[id(part.channels)][part.channel] for part in parts]),
+        np.concatenate([part.offset + at for part, at in zip(parts, start, strict=False)]),
+        np.concatenate([part.size for part in parts]),
+        np.concatenate([part.log_time for part in parts]),
+        np.concatenate([part.publish_time for part in parts]),
+    )
