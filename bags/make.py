@@ -21,7 +21,6 @@ from worm_optimizer.robot_commands import GaitCommand, RunProgress
 TIMEOUT_S = 60.0
 BEFORE_S, AFTER_S = 2.0, 0.5  # recorded at rest, and after the gait's end
 ROS = ("--ros-args", "-r", "__ns:=/worm")
-TOPICS = "^/(worm/.*|diagnostics)$"
 
 
 @dataclass(frozen=True)
@@ -59,14 +58,14 @@ def make(name: str, sample: Sample, folder: Path) -> None:
     """Record one sample into a new folder below `folder`."""
     with tempfile.TemporaryDirectory() as place, ProcessGroup(Path(place)) as group:
         _start_robot(group, sample, Path(place))
-        record = [*executable_command("worm_model", "record"), "--regex", TOPICS]
-        record += ["--output", str(folder / name), "--seed", str(sample.seed)]
+        record = [*executable_command("worm_model", "record"), "--output", str(folder / name)]
+        record += ["--seed", str(sample.seed)]
         record += ["--note", f"made_by=bags/make.py {name}", *ROS]
         recorder = group.start("recorder", record)
         recorder.wait_for_line("recording to", TIMEOUT_S)
         with operator("/worm", group.check) as node:
             node.activate()
-            node.wait_for_recorder("recorder")
+            node.graph.wait_for_recorder("recorder")
             node.rest(BEFORE_S)
             if sample.killed_in:
                 _run_until_killed(node, sample, recorder)

@@ -22,7 +22,7 @@ def loads(process: Process, library: str) -> bool:
     ("package", "executable", "arguments", "library"),
     [
         ("worm_driver", "driver_node", [], "rclpy"),
-        ("worm_model", "record", ["--all", "--output", "{}/bag"], "rclpy"),
+        ("worm_model", "record", ["--output", "{}/bag"], "rclpy"),
         ("worm_optimizer", "start", ["--virtual"], "numpy"),
     ],
 )

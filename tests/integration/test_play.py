@@ -15,6 +15,7 @@ from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
+from worm_model.nodes.play_node import _is_of_twin
 from worm_model.parameters import PAPER
 from worm_model.twin.offline_replay import replay_run
 from worm_msgs.msg import GaitState, Power, Tracker, TwinState
@@ -68,15 +69,7 @@ def test_it_starts_in_the_middle_with_what_was_latched(
 ):
     powers = probe.collect(Power, "power")
     player = processes.start_executable(
-        "worm_model",
-        "play",
-        str(bag),
-        "--start",
-        "3",
-        "--rate",
-        "10",
-        "--exclude",
-        "tracker|length",
+        "worm_model", "play", str(bag), "--start", "3", "--rate", "10"
     )
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
     expected = RUN.power.stamp[RUN.power.stamp >= EPOCH + 3 * 10**9].tolist()
@@ -145,13 +138,17 @@ def test_it_starts_again_at_the_end_until_it_is_stopped(
     assert "Traceback" not in player.output()
 
 
+def test_topics_of_the_twin_are_left_out_for_the_twin():
+    own = "/worm/twin/state", "/a/b/body_length/estimated", "/worm/tf", "/diagnostics"
+    others = "/worm/body_length/measured", "/worm/tracker", "/worm/tf_static"
+    assert [_is_of_twin(name) for name in (*own, *others)] == [True] * 4 + [False] * 3
+
+
 def test_the_live_twin_yields_what_the_offline_replay_yields(
     processes: Processes, probe: Probe, bag: Path
 ):
     states = probe.collect(TwinState, "twin/state", 10_000)
-    player = processes.start_node(
-        "worm_model", "play", str(bag), "--rate", "2", "--wait-for", "twin"
-    )
+    player = processes.start_node("worm_model", "play", str(bag), "--rate", "2", "--twin")
     twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     offline = replay_run(RUN, PAPER).states

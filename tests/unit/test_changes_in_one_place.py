@@ -132,7 +132,6 @@ from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
-from worm_model.bags.operations.tables import find_tables
 from worm_model.analysis.run_metrics import last_played_gait
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.commands.evaluate_gait import _parser

@@ -10,33 +10,17 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from itertools import groupby, pairwise
-from operator import itemgetter
+from itertools import pairwise, zip_longest
 from pathlib import Path, PurePath
 
 import numpy as np
-import zstandard
 
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import is_unfinished, read_metadata
-from worm_model.bags.formats.finding import (
-    COMPRESSED,
-    METADATA_FILE,
-    check_readable,
-    is_storage,
-)
-from worm_model.bags.formats.mcap_file import LARGEST_CHUNK, McapFile
-from worm_model.bags.formats.message_block import (
-    Message,
-    Messages,
-    Topic,
-    cells,
-    merge,
-    messages_of,
-)
-from worm_model.bags.formats.message_types import PACKAGE, with_definition
+from worm_model.bags.formats.finding import METADATA_FILE, check_readable, is_storage
+from worm_model.bags.formats.mcap_file import TOGETHER_BYTES, McapFile
+from worm_model.bags.formats.message_block import Message, Messages, Topic, concatenate
 from worm_model.bags.formats.stored_file import (
     LONGEST_GAP_NS,
     AttachedFile,
@@ -52,18 +36,15 @@ _log = logging.getLogger("worm_model.bags")
 Notify = Callable[[str], None]
 
 
-def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None = None) -> Bag:
+def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
     """Open a bag for reading. The bag is not changed.
 
     Args:
         path: a rosbag2 directory, or one of its files (``.mcap``, ``.db3``).
         notify: called with one line for each file that is not complete, and for each inconsistency.
-        definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording, used for the topics
-            whose type is in it.
 
     Raises:
-        BagError: The bag is missing or of an unknown format, or none of its files can be read; or the definitions do
-            not match its messages.
+        BagError: The bag is missing or of an unknown format, or none of its files can be read.
     """
     check_readable(path)
     names = [""] if path.is_file() else _file_names(path, notify)
@@ -76,27 +57,9 @@ def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None
             errors[name] = error
     if errors and not files:
         raise next(reversed(errors.values()))
-    if definitions is not None:
-        _define(path, files, definitions)
     bag = Bag(path, files, notify, [f"{name} is left out: {e}" for name, e in errors.items()])
     _report(bag)
     return bag
-
-
-def _define(path: Path, files: Sequence[StoredFile], definitions: Path) -> None:
-    """Replace the definitions of the topics whose type is in a folder."""
-    found = False
-    for file in files:
-        for number, topic in file.channels.items():
-            package, _, kind = topic.type_name.partition("/msg/")
-            if package == PACKAGE and (definitions / f"{kind}.msg").is_file():
-                file.channels[number] = with_definition(topic, definitions)
-                found = True
-    if not found:
-        raise BagError(
-            f"{definitions} has no definition of a type in {path}; give the folder with the .msg files of "
-            f"{PACKAGE}, such as {PACKAGE}/msg"
-        )
 
 
 def _file_names(path: Path, notify: Notify) -> Sequence[str]:
@@ -124,12 +87,16 @@ def _file_names(path: Path, notify: Notify) -> Sequence[str]:
 
 def _split_number(name: str) -> tuple[int, str]:
     """Return the sort key of a file of a split bag; the number counts, so that bag_2 precedes bag_10."""
-    number = PurePath(name.removesuffix(COMPRESSED)).stem.rpartition("_")[2]
+    number = PurePath(name).stem.rpartition("_")[2]
     return (int(number) if number.isdecimal() else 0), name
 
 
 def _open_file(path: Path) -> StoredFile:
-    if not path.name.removesuffix(COMPRESSED).endswith(".db3"):
+    if path.suffix == ".zstd":
+        raise BagError(
+            f"{path} is compressed as a whole: decompress it (zstd -d) and open the file"
+        )
+    if path.suffix != ".db3":
         return McapFile(path)
     from worm_model.bags.formats.sqlite_file import SqliteFile  # here: rosbags.rosbag2 loads slowly
 
@@ -138,9 +105,7 @@ def _open_file(path: Path) -> StoredFile:
 
 def _report(bag: Bag) -> None:
     """Report what is missing, and the inconsistencies of a bag."""
-    for line in bag.damage:
-        bag.notify(f"{bag.path}: {line}")
-    for line in bag.remarks:
+    for line in (*bag.damage, *bag.remarks):
         bag.notify(f"{bag.path}: {line}")
     if recovery := bag.metadata.get(RECOVERY_RECORD):
         bag.notify(f"{bag.path} was recovered from {recovery.get(SOURCE)}: {recovery.get(LOSS)}")
@@ -172,8 +137,7 @@ class Bag:
     Attributes:
         channels: topics with their layouts; a topic whose layout changes occurs once for each layout.
         topics: topics by name. Each topic has its last layout, and its count includes the messages of all layouts.
-        records: metadata records in the order of the files; identical records occur once. A recording has one record
-            ``worm_gait`` for each gait that was run.
+        records: metadata records in the order of the files; identical records occur once.
         spans: first and last log time (ns since the epoch) of each part of the bag without a gap.
         damage: one line for each file that is not complete.
         remarks: one line for each inconsistency of a file.
@@ -191,8 +155,8 @@ class Bag:
         self._files = files
         counts: Counter[Topic] = Counter()
         for file in files:
-            for number, topic in file.channels.items():
-                counts[topic] += file.counts[number]
+            for topic in file.channels.values():
+                counts[topic] += topic.count
         by_name = sorted(counts.items(), key=lambda item: item[0].name)
         self.channels = tuple(replace(topic, count=count) for topic, count in by_name)
         self.topics = _by_name(self.channels)
@@ -266,7 +230,7 @@ class Bag:
     def blocks(self, topics: Iterable[str] | None = None) -> Iterator[Messages]:
         """Yield the messages in blocks. One after the other, the blocks have the order of `messages`.
 
-        However long the files are, memory holds only the extents that overlap in time.
+        However long the files are, memory holds only the extents that overlap in time, or those of about a megabyte.
         """
         wanted = frozenset(self.topics if topics is None else topics)
         unknown = sorted(wanted - self.topics.keys())
@@ -274,14 +238,23 @@ class Bag:
             raise BagError(
                 f"{self.path} has no topic {unknown[0]}; it has {', '.join(self.topics) or 'none'}"
             )
-        extents = [(file, extent) for file in self._files for extent in file.extents]
+        files = self._files if wanted else ()
+        extents = [(file, extent) for file in files for extent in file.extents]
         # Extents with equal times stay in the order of the files.
         extents.sort(key=lambda item: (item[1].start, item[1].end))
-        runs = groupby(extents if wanted else (), key=itemgetter(0))
-        for block in merge(
-            b for file, run in runs for b in file.blocks((e for _, e in run), wanted)
-        ):
-            yield _decompressed(block)
+        starts = [extent.start for _, extent in extents[1:]]
+        pending: list[Messages] = []
+        for (file, extent), following in zip_longest(extents, starts):
+            pending.append(file.messages(extent, wanted))
+            if following is None or sum(len(p.buffer) for p in pending) >= TOGETHER_BYTES:
+                block = concatenate(pending).sorted()
+                ready = len(block)
+                if following is not None:
+                    ready = int(np.searchsorted(block.log_time, np.uint64(following)))
+                if ready:
+                    yield block.select(slice(ready))
+                rest = block.select(slice(ready, None))
+                pending = [rest.compact()] if len(rest) else []
 
 
 def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
@@ -291,28 +264,3 @@ def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
         known = topics.get(channel.name)
         topics[channel.name] = replace(channel, count=channel.count + (known.count if known else 0))
     return topics
-
-
-def _decompressed(block: Messages) -> Messages:
-    """Return the messages of a block, decompressed; rosbag2's compression mode MESSAGE compresses each message.
-
-    A compressed message begins with the magic number of Zstandard, with which no CDR message begins.
-    """
-    rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
-    beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
-    if not (beginnings.view("<u4") == int.from_bytes(zstandard.FRAME_HEADER, "little")).any():
-        return block
-    return messages_of([message._replace(data=_payload(message)) for message in block])
-
-
-def _payload(message: Message) -> bytes:
-    """Return the decompressed payload of a message.
-
-    A payload is returned unchanged if it is not compressed, is damaged, or decompresses to more than LARGEST_CHUNK
-    bytes.
-    """
-    data = message.data
-    with suppress(zstandard.ZstdError):
-        if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
-            return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST_CHUNK)
-    return data

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
@@ -14,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.bags.formats.bag_errors import BagError, NoRunError
-from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns
+from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns, decode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.opening import Bag
 from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of
-from worm_model.run import GaitStates, Run, Stamps, concatenated
+from worm_model.run import GaitStates, Run, concatenated
 from worm_msgs.gait import GAIT_DEFAULTS
 
 RUN_TOPICS = tuple(SERIES)
@@ -26,23 +27,11 @@ RUN_TOPICS = tuple(SERIES)
 _INSTRUMENTS = TWIN_INPUTS[1:]
 # largest normal delay from the stamp of a message to its reception by the recorder
 _LONGEST_DELAY_NS = 10**9
-# largest number of messages (a quarter of an hour of a recording) whose decoded samples stay in memory
-MOST_KEPT = 250_000
 
 
 def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -> Run:
-    """Return the worm's samples in a bag.
-
-    Args:
-        bag: an open bag.
-        namespace: namespace of the robot; empty: the only one in the bag.
-        names: topics to read, from RUN_TOPICS.
-
-    Raises:
-        BagError: The bag has several robots or none of the topics, its data cannot be decoded, runs of gaits overlap,
-            or the joints change within the bag.
-    """
-    parts = list(RunReader(bag, namespace, names).parts())
+    """Return the worm's samples in a bag; for arguments and errors see `read_parts`."""
+    parts = read_parts(bag, namespace, names)
     series = {}
     for attribute, kind in SERIES.values():
         try:
@@ -54,84 +43,65 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
     return Run(origin=min((part.origin for part in parts if part.origin), default=0), **series)
 
 
-class RunReader:
-    """Reader of the worm's samples in a bag, part by part, so that memory does not grow with the bag.
+def read_parts(bag: Bag, namespace: str, names: Sequence[str]) -> list[Run]:
+    """Return the worm's samples in the order of reception, in parts, each from about a megabyte of the bag.
+
+    Messages with an infinite number are excluded. They are reported, and so are stamps that go back.
 
     Args:
-        bag, namespace, names: see `read_run`.
+        bag: an open bag.
+        namespace: namespace of the robot; empty: the only one in the bag.
+        names: topics to read, from RUN_TOPICS.
+
+    Raises:
+        BagError: The bag has several robots or none of the topics, its data cannot be decoded, runs of gaits overlap,
+            or the joints change within the bag.
     """
-
-    def __init__(self, bag: Bag, namespace: str, names: Sequence[str]) -> None:
-        self._bag = bag
-        topic_of = {name: find_topic(bag.channels, name, namespace) for name in names}
-        self._topics = {name: topic for name, topic in topic_of.items() if topic is not None}
-        if not self._topics:
-            raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
-        _report_unexpected_topics(bag, topic_of, namespace)
-        self._kept: list[Run] | None = None
-        self._is_read = False
-
-    def parts(self) -> Iterator[Run]:
-        """Yield the samples in the order of reception, in parts, each from about a megabyte of the bag.
-
-        The first complete iteration reports infinite numbers and stamps that go back. If the
-        topics have more than MOST_KEPT messages, further iterations read the bag again.
-        """
-        if self._kept is not None:
-            yield from self._kept
-            return
-        kept: list[Run] | None = []
-        if sum(topic.count for topic in self._topics.values()) > MOST_KEPT or self._is_read:
-            kept = None
-        filters = {name: _Filter() for name in self._topics}
-        states: list[GaitStates] = []
-        for part in self._read(filters):
-            states.append(part.gait_state)
-            if kept is not None:
-                kept.append(part)
-            yield part
-        if not self._is_read:
-            self._report(filters)
-        if concatenated(GaitStates, states).mixed:
-            raise BagError(
-                f"{self._bag.path}: runs of gaits overlap; recordings were merged, or two drivers published together: "
-                "give the recordings one by one, or name the robot with --namespace"
+    topic_of = {name: find_topic(bag.channels, name, namespace) for name in names}
+    topics = {name: topic for name, topic in topic_of.items() if topic is not None}
+    if not topics:
+        raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
+    _report_unexpected_topics(bag, topic_of, namespace)
+    infinite: Counter[str] = Counter()
+    parts = []
+    for columns in _decoded(bag, topics):
+        series, stamps = {}, []
+        for name, (attribute, kind) in SERIES.items():
+            found, excluded = _finite(columns.get(name, MessageColumns()))
+            infinite[name] += excluded
+            with _located(bag, topics.get(name)):
+                series[attribute] = _series(kind, found)
+            stamps.append(series[attribute].stamp)
+        origin = min((int(stamp.min()) for stamp in stamps if len(stamp)), default=0)
+        parts.append(Run(origin=origin, **series))
+    for name, topic in topics.items():
+        stamp = np.concatenate([getattr(part, SERIES[name][0]).stamp for part in parts or [Run()]])
+        backwards = np.count_nonzero(np.diff(stamp) < 0)
+        if infinite[name]:
+            bag.notify(
+                f"{bag.path}: {infinite[name]} messages of {topic.name} contain an infinite number and are excluded"
             )
-        self._kept, self._is_read = kept, True
+        if backwards:
+            bag.notify(
+                f"{bag.path}: {backwards} stamps of {topic.name} go back: merged runs, several publishers, or a clock "
+                "that was set"
+            )
+    if concatenated(GaitStates, [part.gait_state for part in parts]).mixed:
+        raise BagError(
+            f"{bag.path}: runs of gaits overlap; recordings were merged, or two drivers published together: "
+            "give the recordings one by one, or name the robot with --namespace"
+        )
+    return parts
 
-    def _read(self, filters: Mapping[str, _Filter]) -> Iterator[Run]:
-        names = {topic.name: name for name, topic in self._topics.items()}
-        for block in self._bag.blocks(names):
-            columns = {}
-            for topic, messages in block.by_topic():
-                builder, name = ColumnBuilder(), names[topic]
-                builder.add(messages.like(self._topics[name]))
-                columns[name] = filters[name].filter(builder.columns())
-            series, stamps = {}, []
-            for name, (attribute, kind) in SERIES.items():
-                with _located(self._bag, self._topics.get(name)):
-                    series[attribute] = _series(kind, columns.get(name))
-                    stamps.append(series[attribute].stamp)
-                    if name in filters:
-                        filters[name].count_backwards(stamps[-1])
-            origin = min((int(stamp.min()) for stamp in stamps if len(stamp)), default=0)
-            yield Run(origin=origin, **series)
 
-    def _report(self, filters: Mapping[str, _Filter]) -> None:
-        for name, counts in filters.items():
-            topic = self._topics[name].name
-            for count, text in (
-                (
-                    counts.infinite,
-                    "{} messages of {} contain an infinite number and are excluded",
-                ),
-                (
-                    counts.backwards,
-                    "{} stamps of {} go back: merged runs, several publishers, or a clock that was set",
-                ),
-            ):
-                if count:
-                    self._bag.notify(f"{self._bag.path}: {text.format(count, topic)}")
+def _decoded(bag: Bag, topics: Mapping[str, Topic]) -> Iterator[dict[str, MessageColumns]]:
+    """Yield the columns of each block by key of ``topics``; messages of another type or encoding are left out."""
+    keys = {topic.name: key for key, topic in topics.items()}
+    for block in bag.blocks(keys):
+        yield {
+            keys[name]: decode(messages.like(topics[keys[name]]))
+            for name, messages in block.by_topic()
+        }
 
 
 @contextmanager
@@ -181,58 +151,32 @@ def received_at(bag: Bag, name: str) -> dict[int, int]:
     """Return the log times of the messages of one of the worm's topics, by stamp; both in ns since the epoch."""
     received: dict[int, int] = {}
     topic = find_topic(bag.channels, name)
-    for block in bag.blocks([topic.name] if topic else []):
-        builder, messages = ColumnBuilder(), block.like(topic) if topic else block
-        builder.add(messages)
-        received.update(
-            zip(stamps_of(builder.columns()).tolist(), messages.log_time.tolist(), strict=True)
-        )
+    for columns in _decoded(bag, {name: topic} if topic else {}):
+        stamps = stamps_of(columns[name]).tolist()
+        received.update(zip(stamps, columns[name].log_time.tolist(), strict=True))
     return received
 
 
-def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, MessageColumns]:
-    """Return all fields of some topics of a bag as columns, by topic name; other types of a topic are left out."""
-    by_name = {topic.name: topic for topic in topics}
-    builders = {name: ColumnBuilder() for name in by_name}
-    for block in bag.blocks(builders):
-        for name, messages in block.by_topic():
-            builders[name].add(messages.like(by_name[name]))
-    return {name: builder.columns() for name, builder in builders.items()}
+def read_columns(bag: Bag, topic: Topic) -> MessageColumns:
+    """Return all fields of a topic of a bag as columns; messages of another type of the topic are left out."""
+    builder = ColumnBuilder()
+    for block in bag.blocks([topic.name]):
+        builder.add(block.like(topic))
+    return builder.columns()
 
 
-class _Filter:
-    """Filter of one topic's messages; it excludes and counts messages with an infinite number.
-
-    Attributes:
-        infinite: number of excluded messages.
-        backwards: number of stamps that are smaller than the previous one.
-    """
-
-    def __init__(self) -> None:
-        self.infinite = self.backwards = 0
-        self._last_stamp: Stamps = np.empty(0, np.int64)
-
-    def filter(self, columns: MessageColumns) -> MessageColumns:
-        """Return the columns of the next messages without the excluded messages."""
-        infinite = [
-            np.isinf(values.reshape(len(values), -1)).any(axis=1)
-            for values in columns.numbers.values()
-            if values.dtype != object
-        ]
-        excluded = np.any(infinite, axis=0)
-        if not excluded.any():
-            return columns
-        self.infinite += int(np.count_nonzero(excluded))
-        kept = np.flatnonzero(~excluded).tolist()
-        return MessageColumns(
-            {path: values[kept] for path, values in columns.numbers.items()},
-            {path: [texts[row] for row in kept] for path, texts in columns.texts.items()},
-        )
-
-    def count_backwards(self, stamp: Stamps) -> None:
-        """Count the stamps of the next messages that are smaller than the previous one."""
-        self.backwards += int(np.count_nonzero(np.diff(stamp, prepend=self._last_stamp) < 0))
-        self._last_stamp = np.append(self._last_stamp, stamp)[-1:]
+def _finite(columns: MessageColumns) -> tuple[MessageColumns, int]:
+    """Return the columns without the messages that contain an infinite number, and the number of these messages."""
+    infinite = np.zeros(len(columns.log_time), bool)
+    for values in columns.numbers.values():
+        if values.dtype != object:
+            infinite |= np.isinf(values.reshape(len(values), -1)).any(axis=1)
+    if not infinite.any():
+        return columns, 0
+    kept = np.flatnonzero(~infinite)
+    numbers = {path: values[kept] for path, values in columns.numbers.items()}
+    texts = {path: [texts[row] for row in kept] for path, texts in columns.texts.items()}
+    return MessageColumns(numbers, texts, columns.log_time[kept]), int(infinite.sum())
 
 
 def stamps_of(columns: MessageColumns, path: str = "header.stamp") -> NDArray[np.int64]:
@@ -252,10 +196,8 @@ def clock_offset(bag: Bag, namespace: str) -> int:
     """
     for name in _INSTRUMENTS:
         topic = find_topic(bag.channels, name, namespace)
-        for block in islice(bag.blocks([topic.name]) if topic and topic.count else (), 1):
-            builder, messages = ColumnBuilder(), block.like(topic) if topic else block
-            builder.add(messages)
-            late = messages.log_time.astype(np.int64) - stamps_of(builder.columns())
+        for columns in islice(_decoded(bag, {name: topic}) if topic and topic.count else (), 1):
+            late = columns[name].log_time - stamps_of(columns[name])
             shift = int(np.median(late)) if len(late) else 0
             return shift if abs(shift) > _LONGEST_DELAY_NS else 0
     return 0
@@ -275,10 +217,10 @@ def _numbers(columns: MessageColumns, path: str, kind: type = np.float64) -> NDA
     return values.astype(kind)
 
 
-def _series(kind: type[Any], columns: MessageColumns | None) -> Any:
+def _series(kind: type[Any], columns: MessageColumns) -> Any:
     """Return columns as samples of ``kind``, a class of `worm_model.run`; empty without columns."""
     nothing = kind()
-    if columns is None or not columns.numbers:
+    if not columns.numbers:
         return nothing
     arrays = {}
     for field in fields(kind):

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.bag_metadata import FOREVER, dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Topic
 from worm_model.run import (
     GaitStates,
@@ -28,6 +29,8 @@ TWIN_STATE = "worm_msgs/msg/TwinState"
 TWIN_RESIDUALS = "worm_msgs/msg/TwinResiduals"
 TWIN_EVENT = "worm_msgs/msg/TwinEvent"
 TWIN_MEMORY = "worm_msgs/msg/TwinMemory"
+# types of topics that a recorder leaves out unless they are named, because a camera's images need 27 MB/s
+IMAGES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
 
 TYPES = {
     "body_length/commanded": BODY_LENGTH,
@@ -79,17 +82,10 @@ def path_of(field: str) -> str:
 
 def offered_qos(name: str) -> str:
     """Return the QoS of one of the worm's topics (a key of TYPES) as YAML, in the format of a bag's channel."""
-    forever = "{sec: 9223372036, nsec: 854775807}"
-    return (
-        "- history: keep_last\n"
-        f"  depth: {1 if name in LATCHED else 10}\n"
-        "  reliability: reliable\n"
-        f"  durability: {'transient_local' if name in _TRANSIENT_LOCAL else 'volatile'}\n"
-        f"  deadline: {forever}\n"
-        f"  lifespan: {forever}\n"
-        "  liveliness: automatic\n"
-        f"  liveliness_lease_duration: {forever}\n"
-        "  avoid_ros_namespace_conventions: false\n"
+    durability = "transient_local" if name in _TRANSIENT_LOCAL else "volatile"
+    depth = 1 if name in LATCHED else 10
+    return dump_yaml(
+        [qos_profile("keep_last", depth, "reliable", durability, "automatic", FOREVER)]
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of one bag with their metrics, from the analysis and from a replay of the bag with the twin."""
+"""Table of the recorded runs with their metrics, from the analysis and from a replay of the bags with the twin."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,8 @@ from worm_model.bags.recording.run_manifest import (
 )
 from worm_model.bags.run_reader import clock_offset, read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
-from worm_model.commands import bag_columns
 from worm_model.errors import InputError, RecordingError
+from worm_model.gait import named_values
 from worm_model.margin.half_cycles import Fin
 from worm_model.margin.measured_margin import measure_cycles
 from worm_model.parameters import Parameters
@@ -38,12 +38,99 @@ from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.text_table import text_table
 from worm_model.twin.offline_replay import Replay, replay_run
-from worm_msgs.conditions import Conditions
+from worm_msgs.conditions import LEVEL, Conditions
 
+Row = dict[str, Any]
+
+METRICS_VERSION = 6  # Increase this number when the computation of a metric changes.
+# Values of the column "state", which describes the files. NO_RUN: an intact bag without a run of the worm.
+CLOSED, OPEN, DAMAGED, UNREADABLE = "closed", "not closed", "damaged", "unreadable"
+NO_RUN = "no run"
+MISSING = "–"
 _SAVE = f"{RECOVER} writes its readable messages to a new bag"
 
 
-def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
+# --- columns --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Number:
+    """Text of a number that is multiplied by ``scale`` and rounded to ``decimals``."""
+
+    scale: float
+    decimals: int
+
+    def __call__(self, value: float) -> str:
+        """Return the text of a value."""
+        return MISSING if math.isnan(value) else f"{self.scale * value:.{self.decimals}f}"
+
+
+@dataclass(frozen=True)
+class RunColumn:
+    """Column of the table of recorded runs. `_row` computes its value.
+
+    Attributes:
+        key: key of the value in a row and in `--json`.
+        title: title in the printed table; empty: the column is not printed.
+        text: returns the printed text of a value that is not None.
+        label: title in the console's list; empty: the list does not contain the column.
+    """
+
+    key: str
+    title: str = ""
+    text: Callable[[Any], str] = str
+    label: str = ""
+
+    def cell(self, row: Mapping[str, Any]) -> Any:
+        """Return the value of a row for a sortable list: a rounded number, or a text; None if it is missing."""
+        value = row.get(self.key)
+        if value is None or value != value:
+            return None
+        if isinstance(self.text, Number):
+            return round(self.text.scale * value, self.text.decimals)
+        return self.text(value)
+
+
+def _gait_text(gait: Mapping[str, Any]) -> str:
+    """Return the gait of a row as text: stroke, frequency and direction."""
+    way = "" if gait["direction"] > 0 else " reverse"
+    return f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
+
+
+def _local_time(start: str) -> str:
+    """Return the ``start`` of a row (ISO 8601) in local time to the second, like the names of bags."""
+    return datetime.fromisoformat(start).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+
+
+def _conditions_text(values: Mapping[str, float]) -> str:
+    stated = Conditions(**values)
+    return "" if stated == LEVEL else str(stated)
+
+
+COLUMNS = (
+    RunColumn("start", "start", _local_time, "start"),
+    RunColumn("duration_s", "s", Number(1.0, 1)),
+    RunColumn("gait", "gait", _gait_text, "gait"),
+    RunColumn("conditions", "conditions", _conditions_text),
+    RunColumn("cycles", "cycles", Number(1.0, 0), "cycles"),
+    RunColumn("groove_phase", "φ mm", Number(1e3, 2)),
+    RunColumn("grooves_per_cycle", "grooves", Number(1.0, 2)),
+    RunColumn("speed", "mm/s", Number(1e3, 2), "speed, mm/s"),
+    RunColumn("power", "W", Number(1.0, 2), "power, W"),
+    RunColumn("cost_of_transport", "COT", Number(1.0, 1), "cost of transport"),
+    RunColumn("rear_margin_m"),
+    RunColumn("front_margin_m"),
+    RunColumn("keeps_probability"),
+    RunColumn("margin_m", "margin mm", Number(1e3, 1), "margin, mm"),
+    RunColumn("health", "health", label="health"),
+    RunColumn("notes"),
+)
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+def rows_of_bag(path: Path, parameters: str) -> list[Row]:
     """Return a row for each run of a closed bag, or a single row that states why there is none.
 
     ``parameters`` is the path of a parameter file; empty: the file in the bag, else the paper's values.
@@ -54,38 +141,22 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
                 file.open("rb").close()
         if is_unclosed(path):
             text = f"it is being recorded, or its recorder was killed: {_SAVE}"
-            return [{bag_columns.STATE: bag_columns.OPEN, "notes": text}]
+            return [{"state": OPEN, "notes": text}]
     remarks: list[str] = []
     with open_bag(path, remarks.append) as bag:
         if bag.damage:
-            return [
-                {
-                    bag_columns.STATE: bag_columns.DAMAGED,
-                    "notes": f"{'; '.join(bag.damage)}: {_SAVE}",
-                }
-            ]
+            return [{"state": DAMAGED, "notes": f"{'; '.join(bag.damage)}: {_SAVE}"}]
         try:
-            rows = _rows_of_runs(bag, parameters, remarks)
+            return _rows_of_runs(bag, parameters, remarks)
         except NoRunError as error:
-            rows = []
-            remarks.insert(0, str(error))
+            start = utc_of(bag.start) if bag.message_count else None
+            notes = "; ".join([str(error), *remarks])
+            return [{"state": NO_RUN, "start": start, "duration_s": bag.duration_s, "notes": notes}]
         except BagError as error:
-            return [{bag_columns.STATE: bag_columns.CLOSED, "notes": str(error)}]
-        if rows:
-            return [{bag_columns.STATE: bag_columns.CLOSED, **row} for row in rows]
-        start = utc_of(bag.start) if bag.message_count else None
-        notes = "; ".join(remarks)
-        return [
-            {
-                bag_columns.STATE: bag_columns.NO_RUN,
-                "start": start,
-                "duration_s": bag.duration_s,
-                "notes": notes,
-            }
-        ]
+            return [{"state": CLOSED, "notes": str(error)}]
 
 
-def _rows_of_runs(bag: Bag, parameters: str, remarks: list[str]) -> list[dict[str, Any]]:
+def _rows_of_runs(bag: Bag, parameters: str, remarks: list[str]) -> list[Row]:
     """Return a row for each run. Raises `NoRunError` if the bag contains none."""
     run = read_run(bag, names=REPLAY_INPUTS)
     values, conditions = recorded_robot(bag, parameters).parameters, recorded_conditions(bag)
@@ -95,115 +166,62 @@ def _rows_of_runs(bag: Bag, parameters: str, remarks: list[str]) -> list[dict[st
     reports = report_replay(run, replay, values.pitch).runs
     if not reports:
         raise NoRunError("no gait was run")
+    # The onset in the messages of a virtual robot may lag behind the recorder's clock, which also names the bag.
     offset_ns = clock_offset(bag, "")
-    figures = [RunFigures(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
-    return [{column.key: column.value(f) for column in bag_columns.COLUMNS} for f in figures]
+    rows = [_row(run, replay, report, values, remarks) for report in reports]
+    for row, report in zip(rows, reports, strict=True):
+        row["start"] = utc_of(report.played.onset + offset_ns)
+        row["conditions"] = asdict(conditions)
+    return [{"state": CLOSED, **row} for row in rows]
 
 
-@dataclass(frozen=True)
-class RunFigures:
-    """Metrics of one run for `bag_columns.COLUMNS`. Metrics that cannot be computed are NaN.
+def _row(
+    run: Run, replay: Replay, report: RunReport, parameters: Parameters, remarks: Sequence[str]
+) -> Row:
+    """Return the metrics of one run, by the keys of COLUMNS. Metrics that cannot be computed are NaN.
 
-    Attributes:
+    Speed, power and grooves are means over the averaged cycles.
+
+    Args:
         run: samples of the whole bag, which may contain several runs.
         replay: replay of the bag with the twin.
         report: report of the replay on this run.
         parameters: parameters of the robot.
-        conditions: recorded conditions.
-        clock_offset_ns: recorder's clock minus the clock of the stamps, ns, see `run_reader.clock_offset`.
         remarks: the operator's notes, and remarks on the bag.
     """
-
-    run: Run
-    replay: Replay
-    report: RunReport
-    parameters: Parameters
-    conditions: Conditions
-    clock_offset_ns: int
-    remarks: Sequence[str]
-
-    @property
-    def played(self) -> run_metrics.PlayedGait:
-        """The gait of the run, with its onset and its end."""
-        return self.report.played
-
-    @property
-    def start(self) -> str:
-        """Onset in UTC according to the recorder's clock, which also determines the bag's name.
-
-        The onset in the messages of a virtual robot may lag behind the recorder's clock.
-        """
-        return utc_of(self.played.onset + self.clock_offset_ns)
-
-    @property
-    def duration_s(self) -> float:
-        """Duration of the complete cycles, s."""
-        return sum(cycle.complete for cycle in self.report.cycles) * self.played.gait.period
-
-    @property
-    def cycles(self) -> int:
-        """Number of whole cycles that were played."""
-        return self.played.whole_cycles_until(_last(self.run, self.played))
-
-    @property
-    def groove_phase(self) -> float:
-        """Groove phase at the onset, m."""
-        states = self.replay.states
-        after = states["groove_phase"][states["stamp_ns"] >= self.played.onset]
-        return float(after[0]) if after.size else math.nan
-
-    @cached_property
-    def speed(self) -> float:
-        """Mean speed along the gait's direction over the averaged cycles, m/s."""
-        tracker = self.run.tracker
-        rate = _rate(self._window, (tracker.stamp, tracker.rear_position), "position")
-        return rate * self.played.gait.direction
-
-    @cached_property
-    def power(self) -> float:
-        """Mean power over the averaged cycles, W."""
-        power = self.run.power
-        return _rate(
-            self._window, run_metrics.accumulated_energy((power.stamp, power.valid_power)), "power"
-        )
-
-    @property
-    def grooves_per_cycle(self) -> float:
-        """Mean displacement per averaged cycle, in pitches."""
-        return self.speed / self.played.gait.frequency / self.parameters.pitch
-
-    @property
-    def cost_of_transport(self) -> float:
-        """Cost of transport, 1."""
-        if not self.speed > 0.0:
-            return math.nan
-        return float(cost_of_transport(self.speed, self.power, self.parameters.mass))
-
-    @cached_property
-    def margins(self) -> dict[str, Any]:
-        """Measured margins, see `RunMargin.as_json`."""
-        played = self.played
-        measured = measure_cycles(self.run, played.gait, played.onset, self.cycles, self.parameters)
-        return measured.as_json()
-
-    @property
-    def margin(self) -> float:
-        """Smaller mean margin of both fins, m; NaN unless both were measured."""
-        fins = [self.margins[f"{fin.value}_margin_m"] for fin in Fin]
-        return math.nan if None in fins else float(min(fins))
-
-    @property
-    def notes(self) -> str:
-        """Reasons for an early end and for missing judgements, the operator's notes, and remarks on the bag."""
-        early = run_metrics.early_end(self.run, self.played)
-        return "; ".join(filter(None, [early, *_not_judged(self.report), *self.remarks]))
-
-    @cached_property
-    def _window(self) -> run_metrics.Window | None:
-        """Averaged cycles; None without a completed cycle."""
-        first, last = run_metrics.averaged_cycles(self.run, self.played)
-        completed = run_metrics.completed_cycles(self.run, self.played)
-        return self.played.cycle_window(first, last) if completed else None
+    played, gait = report.played, report.played.gait
+    window = None
+    if run_metrics.completed_cycles(run, played):
+        window = played.cycle_window(*run_metrics.averaged_cycles(run, played))
+    tracker, power = run.tracker, (run.power.stamp, run.power.valid_power)
+    speed = gait.direction * _rate(window, (tracker.stamp, tracker.rear_position), "position")
+    mean_power = _rate(window, run_metrics.accumulated_energy(power), "power")
+    cycles = played.whole_cycles_until(_last(run, played))
+    states = replay.states
+    phase = states["groove_phase"][states["stamp_ns"] >= played.onset]
+    margins = measure_cycles(run, gait, played.onset, cycles, parameters).as_json()
+    fins = [margins[f"{fin.value}_margin_m"] for fin in Fin]
+    cost = math.nan
+    if speed > 0.0:
+        cost = float(cost_of_transport(speed, mean_power, parameters.mass))
+    return {
+        "duration_s": sum(cycle.complete for cycle in report.cycles) * gait.period,
+        "gait": named_values(gait),
+        "cycles": cycles,
+        "groove_phase": float(phase[0]) if phase.size else math.nan,
+        "grooves_per_cycle": speed / gait.frequency / parameters.pitch,
+        "speed": speed,
+        "power": mean_power,
+        "cost_of_transport": cost,
+        "rear_margin_m": margins["rear_margin_m"],
+        "front_margin_m": margins["front_margin_m"],
+        "keeps_probability": margins["keeps_probability"],
+        "margin_m": math.nan if None in fins else float(min(fins)),
+        "health": report.health.name.lower(),
+        "notes": "; ".join(
+            filter(None, [run_metrics.early_end(run, played), *_not_judged(report), *remarks])
+        ),
+    }
 
 
 def _not_judged(report: RunReport) -> list[str]:
@@ -233,15 +251,8 @@ def _rate(window: run_metrics.Window | None, samples: Any, name: str) -> float:
         return math.nan
 
 
-Row = dict[str, Any]
-
-METRICS_VERSION = 6  # Increase this number when the computation of a metric changes.
-
-
-def bag_rows(
-    folder: Path, parameters: str, progress: Callable[[float], None]
-) -> tuple[list[Row], int]:
-    """Return the rows of all runs, and the number of bags that were read because the index lacked their present state.
+def bag_rows(folder: Path, parameters: str, progress: Callable[[float], None]) -> list[Row]:
+    """Return the rows of all runs. A bag is read if the index lacks its present state.
 
     ``folder`` is a folder with bags, or a single bag. ``parameters`` is the path of a parameter file; empty: the file
     in each bag, else the paper's values. Raises `InputError` if there is no bag.
@@ -258,13 +269,12 @@ def bag_rows(
         progress(done / len(todo))
     if todo or len(known) != len(bags):
         _store(index, {key: known[key] for key in keys.values()})
-    rows = [{"bag": str(bag), **row} for bag in bags for row in known[keys[bag]][1]]
-    return rows, len(todo)
+    return [{"bag": str(bag), **row} for bag in bags for row in known[keys[bag]][1]]
 
 
 def _index_file(folder: Path, parameters: str) -> Path:
     content = Path(parameters).read_bytes() if parameters else b""
-    keys = [column.key for column in bag_columns.COLUMNS]
+    keys = [column.key for column in COLUMNS]
     name = f"{METRICS_VERSION} {keys}\n".encode() + os.fsencode(folder.resolve()) + b"\n" + content
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     return home / "worm_model" / f"bags-{hashlib.sha256(name).hexdigest()[:16]}.json"
@@ -281,11 +291,7 @@ def _known(index: Path) -> dict[str, Any]:
 
 def _store(index: Path, content: dict[str, Any]) -> None:
     """Write the index without the unreadable bags. The next call reads them again, and all bags if writing fails."""
-    content = {
-        key: entry
-        for key, entry in content.items()
-        if entry[1][0][bag_columns.STATE] != bag_columns.UNREADABLE
-    }
+    content = {key: entry for key, entry in content.items() if entry[1][0]["state"] != UNREADABLE}
     with suppress(OSError):
         index.parent.mkdir(parents=True, exist_ok=True)
         part = index.with_name(f"{index.name}.{os.getpid()}")
@@ -295,34 +301,32 @@ def _store(index: Path, content: dict[str, Any]) -> None:
 
 def _read(bag: Path, parameters: str) -> list[Row]:
     """Return the rows of a bag, or one row with the reason why it has none. The bag is not changed."""
-    empty: Row = {column.key: None for column in bag_columns.COLUMNS}
+    empty: Row = {column.key: None for column in COLUMNS}
     try:
         rows = rows_of_bag(bag, parameters)
     except OSError as error:
-        rows = [{bag_columns.STATE: bag_columns.UNREADABLE, "notes": str(error)}]
+        rows = [{"state": UNREADABLE, "notes": str(error)}]
     except InputError as error:
-        rows = [{bag_columns.STATE: bag_columns.DAMAGED, "notes": str(error)}]
+        rows = [{"state": DAMAGED, "notes": str(error)}]
     return [{**empty, **row, "notes": " ".join(row["notes"].split())} for row in rows]
 
 
 def _without_empty(lines: Sequence[Sequence[str]]) -> list[list[str]]:
     """Return a table without empty columns, such as the conditions on level ground."""
     columns = zip(*lines, strict=True)
-    filled = [column for column in columns if set(column[1:]) - {"", bag_columns.MISSING}]
+    filled = [column for column in columns if set(column[1:]) - {"", MISSING}]
     return [list(row) for row in zip(*filled, strict=True)]
 
 
 def describe(rows: Sequence[Row], folder: Path) -> str:
     """Return the table as text."""
-    shown = [column for column in bag_columns.COLUMNS if column.title]
+    shown = [column for column in COLUMNS if column.title]
     lines = [["bag", *(column.title for column in shown)]]
     notes = []
     for row in rows:
         name = name_below(folder, Path(row["bag"]))
-        values = {**row, "health": row["health"] or row[bag_columns.STATE]}
-        cells = (
-            bag_columns.MISSING if values[c.key] is None else c.text(values[c.key]) for c in shown
-        )
+        values = {**row, "health": row["health"] or row["state"]}
+        cells = (MISSING if values[c.key] is None else c.text(values[c.key]) for c in shown)
         lines.append([name, *cells])
         if row["notes"]:
             notes.append(f"{name}: {row['notes']}")

@@ -64,7 +64,6 @@ def _parser() -> command_line.Parser:
         part.add_argument(
             "--topic", action="append", default=[], help="topic to copy; may be repeated"
         )
-        part.add_definitions()
         part.add_number("--start", "S", "start of the span, in s since the start of the bag")
         part.add_number("--end", "S", "end of the span, in s since the start of the bag")
         part.add_argument(
@@ -76,7 +75,7 @@ def _parser() -> command_line.Parser:
 def _table(options: argparse.Namespace) -> None:
     from worm_model.commands.bag_runs import bag_rows, describe
 
-    rows, _ = bag_rows(options.folder, options.parameters, command_line.ProgressLine("bags"))
+    rows = bag_rows(options.folder, options.parameters, command_line.ProgressLine("bags"))
     command_line.print_result(options, {"runs": rows}, describe(rows, options.folder))
 
 
@@ -84,7 +83,7 @@ def _opened(options: argparse.Namespace) -> Bag:
     from worm_model.bags.opening import open_bag
 
     notify = command_line.notifier(f"bags {options.verb}")
-    return open_bag(options.bag, notify, getattr(options, "definitions", None))
+    return open_bag(options.bag, notify)
 
 
 def _info(options: argparse.Namespace) -> None:

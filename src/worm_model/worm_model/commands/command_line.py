@@ -108,16 +108,6 @@ class Parser(command_parser.Parser):
             "stroke",
         )
 
-    def add_definitions(self) -> None:
-        """Add --definitions."""
-        self.add_argument(
-            "--definitions",
-            type=Path,
-            metavar="FOLDER",
-            help=".msg files of worm_msgs from the time of the recording; default: the definitions in the bag, or the "
-            "installed ones for topics without a definition",
-        )
-
     def add_json(self) -> None:
         """Add --json; see `print_result`."""
         self.add_argument("--json", action="store_true", help="print one JSON object")

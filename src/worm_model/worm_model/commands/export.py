@@ -6,23 +6,17 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_folder
 from worm_model.bags.opening import Bag, open_bag
-from worm_model.bags.operations.tables import (
-    MOST_ELEMENTS,
-    TEXT,
-    ColumnKind,
-    TableRows,
-    find_tables,
-    read_tables,
-)
+from worm_model.bags.operations.tables import Table, read_tables
 from worm_model.bags.run_reader import RUN_TOPICS, read_run
 from worm_model.bags.worm_topics import TYPES
 from worm_model.commands import command_line
@@ -31,128 +25,67 @@ STEM_BYTES = 200  # bytes, longest file name without its ending
 MERGED = "run"  # name of the table with all measurements and commands
 _NOTIFY = command_line.notifier("export")
 
-Kinds = Mapping[str, ColumnKind]
 _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 
 
-class CsvWriter:
-    """Writer of a CSV file with the columns ``kinds``.
-
-    The columns ``lists`` contain arrays. They are not written, because a CSV cell contains one value.
-    Numbers are written without loss of precision. Missing values and NaN are empty cells.
-    """
-
-    def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
-        self._columns = list(kinds)
-        self._stream = path.open("x", encoding="utf-8", newline="")
-        self._writer = csv.writer(self._stream, lineterminator="\n")
-        self._writer.writerow(self._columns)
-        for name in lists:
-            _NOTIFY(
-                f"{path.name}: {name} is not exported, because its arrays have more than {MOST_ELEMENTS} elements; "
-                "use --format parquet"
-            )
-
-    def write(self, rows: TableRows) -> None:
-        """Append rows."""
-        columns = (map(_cell, rows[name]) for name in self._columns)
-        self._writer.writerows(zip(*columns, strict=True))
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._stream.close()
+def write_csv(path: Path, table: Table) -> None:
+    """Write a CSV file. Numbers are written without loss of precision. Missing values and NaN are empty cells."""
+    columns = (v.tolist() if isinstance(v, np.ndarray) else v for v in table.values())
+    with path.open("x", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(table)
+        writer.writerows(zip(*(map(_cell, column) for column in columns), strict=True))
 
 
 def _cell(value: Any) -> Any:
     return "" if value is None or (isinstance(value, float) and math.isnan(value)) else value
 
 
-class ParquetWriter:
-    """Writer of a Parquet file with the columns ``kinds`` and ``lists``.
-
-    Columns have the types of the fields. Missing values are null, and NaN remains NaN.
-    """
-
-    def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
-        try:
-            import pyarrow as arrow
-            from pyarrow import parquet
-        except ImportError:
-            raise command_line.InputError(
-                "Parquet requires pyarrow: pip install pyarrow, or use --format csv"
-            ) from None
-        types = {
-            name: arrow.string() if kind == TEXT else arrow.from_numpy_dtype(kind)
-            for name, kind in kinds.items()
-        }
-        for name, kind in lists.items():
-            types[name] = arrow.list_(arrow.from_numpy_dtype(kind))
-        self._arrow = arrow
-        self._schema = arrow.schema(list(types.items()))
-        self._writer = parquet.ParquetWriter(path, self._schema)
-
-    def write(self, rows: TableRows) -> None:
-        """Append rows."""
-        self._writer.write_table(self._arrow.table(dict(rows), schema=self._schema))
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
+def write_parquet(path: Path, table: Table) -> None:
+    """Write a Parquet file. Columns have the types of the fields. Missing values are null, and NaN remains NaN."""
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError:
+        raise command_line.InputError(
+            "Parquet requires pyarrow: pip install pyarrow, or use --format csv"
+        ) from None
+    columns = {name: arrow.array(values) for name, values in table.items()}
+    parquet.write_table(arrow.table(columns), path)
 
 
-TableWriter = CsvWriter | ParquetWriter
-WRITERS: Mapping[str, type[TableWriter]] = {"csv": CsvWriter, "parquet": ParquetWriter}
+WRITERS: Mapping[str, Callable[[Path, Table], None]] = {"csv": write_csv, "parquet": write_parquet}
 
 
 @dataclass(frozen=True)
 class Exported:
     """Result of an export: the number of `rows` by file name, and the reason for each topic that is `left_out`."""
 
-    rows: dict[str, int] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
+    rows: dict[str, int]
+    left_out: dict[str, str]
 
 
 def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str = "") -> Exported:
     """Write one table per topic to a new folder and, if ``topics`` is empty, the merged table of the robot.
 
-    ``namespace`` is that of the robot; empty: the only one in the bag. Only the merged table is held in memory as a
-    whole. If the export fails, no folder remains.
+    ``namespace`` is that of the robot; empty: the only one in the bag. If the export fails, no folder remains.
     """
-    tables, failed = find_tables(bag, topics or bag.topics)
-    stems = file_stems(table.topic.name for table in tables)
-    exported = Exported(left_out={name: str(reason) for name, reason in failed.items()})
-    with new_folder(output) as folder, ExitStack() as stack:
-        writers: dict[str, TableWriter] = {}
-        for table in tables:
-            file = f"{stems[table.topic.name]}.{kind}"
-            writer = WRITERS[kind](folder / file, table.kinds, table.lists)
-            stack.callback(writer.close)
-            writers[table.topic.name] = writer
-            exported.rows[file] = table.topic.count
-        for table, batch in read_tables(bag, tables):
-            writers[table.topic.name].write(batch)
-        if not topics and any(channel.type_name in _RUN_TYPES for channel in bag.channels):
-            _export_merged(bag, folder / f"{MERGED}.{kind}", namespace, exported)
-    return exported
-
-
-def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> None:
-    """Write the merged table, or add the reason why it cannot be written to ``exported.left_out``."""
-    try:
+    found, left_out = read_tables(bag, topics or bag.topics)
+    stems = file_stems(found)
+    tables = {stems[name]: table for name, table in found.items()}
+    if not topics and any(channel.type_name in _RUN_TYPES for channel in bag.channels):
         from worm_model.analysis.run_table import run_table  # here: SciPy and Numba load slowly
 
-        columns = run_table(read_run(bag, namespace)).columns
-    except BagError as error:
-        exported.left_out[MERGED] = str(error)
-        return
-    kinds = {
-        name: TEXT if column.dtype == object else str(column.dtype)
-        for name, column in columns.items()
-    }
-    writer = WRITERS[path.suffix[1:]](path, kinds, {})
-    writer.write({name: column.tolist() for name, column in columns.items()})
-    writer.close()
-    exported.rows[path.name] = len(columns["stamp_ns"])
+        try:
+            tables[MERGED] = run_table(read_run(bag, namespace)).columns
+        except BagError as error:
+            left_out[MERGED] = str(error)
+    rows = {}
+    with new_folder(output) as folder:
+        for stem, table in tables.items():
+            WRITERS[kind](folder / f"{stem}.{kind}", table)
+            rows[f"{stem}.{kind}"] = len(next(iter(table.values())))
+    return Exported(rows, left_out)
 
 
 def file_stems(topics: Iterable[str]) -> dict[str, str]:
@@ -192,14 +125,13 @@ def _parser() -> command_line.Parser:
         default="",
         help="namespace of the merged table's robot; default: the only one in the bag",
     )
-    parser.add_definitions()
     parser.add_json()
     return parser
 
 
 def _export(options: argparse.Namespace) -> int:
     output = command_line.new_file(options.output)
-    with open_bag(options.bag, _NOTIFY, options.definitions) as bag:
+    with open_bag(options.bag, _NOTIFY) as bag:
         exported = export(bag, output, options.format, options.topic, options.namespace)
     for name, reason in exported.left_out.items():
         _NOTIFY(f"{name} is left out: {reason}")

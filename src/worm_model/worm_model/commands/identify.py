@@ -83,7 +83,6 @@ def _parser() -> Parser:
         "the power model of --parameters, else the paper's",
     )
     parser.add_transmission()
-    parser.add_definitions()
     parser.add_json()
     parser.add_parameters("README.md of a lab's folder, else the paper's values")
     return parser
@@ -194,7 +193,7 @@ def _run(options: argparse.Namespace) -> None:
         raise InputError("--spool-radius must be positive")
     reporter = StageProgress()
     logs = LabSettings(onset=options.onset, spool_radius=options.spool_radius)
-    inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
+    inputs = read_inputs(options.runs, options.bellows, options.fin, logs)
     if options.literal:
         _literal(options, inputs, output)
         return
@@ -203,7 +202,7 @@ def _run(options: argparse.Namespace) -> None:
         _reference(options, inputs),
         options.seed,
         SIDES.get(options.fin_engages, 0),
-        read_recordings(options.validation, options.definitions, logs),
+        read_recordings(options.validation, logs),
         reporter,
     )
     advice = advise(result)

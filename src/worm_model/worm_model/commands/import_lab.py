@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from worm_model.commands import command_line
 from worm_model.parameters import Parameters, load_parameters
-from worm_msgs.gait import Gait
 
 if TYPE_CHECKING:  # Numba loads slowly
     from worm_model.identification.data.lab_logs import LabRun, LabSettings
@@ -24,8 +22,8 @@ _LARGEST_SPOOL = 0.2  # m, largest accepted spool radius
 _LONGEST_BODY = 2.0  # m, largest accepted initial length
 
 
-def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:
-    """Convert a run's folder to a bag. Equal files, folder names, settings and namespaces produce equal bytes."""
+def import_lab(folder: Path, output: Path, settings: LabSettings) -> LabRun:
+    """Convert a run's folder to a bag. Equal files, folder names and settings produce equal bytes."""
     from worm_model.bags.formats.bag_writer import new_bag
     from worm_model.bags.run_writer import write_run
     from worm_model.identification.data.lab_logs import read_lab_run
@@ -33,9 +31,7 @@ def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str
     lab = read_lab_run(folder, settings)
     with new_bag(output) as writer:
         writer.add_metadata("worm_run", _manifest(folder, lab))
-        if lab.gait is not None:
-            writer.add_metadata("worm_gait", _gait(lab, lab.gait))
-        write_run(writer, lab.run, namespace)
+        write_run(writer, lab.run)
     return lab
 
 
@@ -46,11 +42,6 @@ def _manifest(folder: Path, lab: LabRun) -> dict[str, str]:
         "spool_radius": repr(lab.transmission.spool_radius),
         **{f"sha256.{name}": checksum for name, checksum in lab.checksums.items()},
     }
-
-
-def _gait(lab: LabRun, gait: Gait) -> dict[str, str]:
-    onset = str(lab.onset)
-    return {key: str(value) for key, value in asdict(gait).items()} | {"onset_ns": onset}
 
 
 def _parser() -> command_line.Parser:
@@ -74,9 +65,6 @@ def _parser() -> command_line.Parser:
         metavar="S",
         help="time t = 0 of the logs, in s since 1970-01-01 UTC; 0 if the logs count from 1970 (default: 2026-01-01)",
     )
-    parser.add_argument(
-        "--namespace", default="/worm", help="namespace of the topics (default /worm)"
-    )
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -98,7 +86,7 @@ def _run(options: argparse.Namespace) -> None:
         fallback_length=parameters.initial_length,
     )
     output = command_line.new_file(options.output)
-    lab = import_lab(options.folder, output, settings, options.namespace)
+    lab = import_lab(options.folder, output, settings)
     for remark in lab.transmission.remarks:
         _notify(remark)
     positions = [lab.run.tracker.rear_position, lab.run.tracker.front_position]

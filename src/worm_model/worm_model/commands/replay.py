@@ -20,7 +20,7 @@ from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.operations.copies import write_copy
 from worm_model.bags.recording.run_manifest import recorded_conditions
-from worm_model.bags.run_reader import RunReader, clock_offset, namespace_of
+from worm_model.bags.run_reader import clock_offset, namespace_of, read_parts
 from worm_model.bags.run_writer import stamped_messages
 from worm_model.bags.worm_topics import (
     REPLAY_INPUTS,
@@ -252,7 +252,6 @@ def _parser() -> Parser:
     parser.add_argument(
         "--namespace", default="", help="namespace of the robot; default: the only one in the bag"
     )
-    parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -268,11 +267,11 @@ def _replay(options: argparse.Namespace) -> None:
     warm_up.main()  # so that the time below includes neither compilation nor parsing of definitions
     parse_ahead(TYPES[name] for name in (*REPLAY_INPUTS, *TWIN_TOPICS))
     begin = time.perf_counter()
-    with open_bag(options.bag, _notify, options.definitions) as bag:
-        reader = RunReader(bag, options.namespace, REPLAY_INPUTS)
+    with open_bag(options.bag, _notify) as bag:
+        parts = read_parts(bag, options.namespace, REPLAY_INPUTS)
         _check_drive(bag, options.namespace)
         parameters = under(recorded_conditions(bag), parameters)
-        replay = OfflineReplay(reader.parts, parameters)
+        replay = OfflineReplay(lambda: parts, parameters)
         reporter = replay.feed(lambda: ReplayReporter(replay.samples, parameters.pitch))
         report = reporter.report(replay.unusable)
         for event in reporter.events:

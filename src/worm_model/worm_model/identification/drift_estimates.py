@@ -62,7 +62,6 @@ def estimate_bags(
     paths: Sequence[Path],
     parameters: Parameters,
     progress: Callable[[float], None] = lambda _done: None,
-    definitions: Path | None = None,
 ) -> tuple[tuple[BagEstimates, ...], tuple[ExcludedBag, ...]]:
     """Estimate, from the first run in each bag, the parameters that may drift.
 
@@ -70,7 +69,6 @@ def estimate_bags(
         paths: the bags.
         parameters: values of all other parameters.
         progress: called with the completed share, 0 to 1.
-        definitions: message definitions, as for `open_bag`.
 
     Returns:
         The estimates, ordered by start, and the excluded bags.
@@ -80,7 +78,7 @@ def estimate_bags(
     for done, path in enumerate(paths):
         progress(done / len(paths))
         try:
-            recording = read_bag(path, definitions)[0]
+            recording = read_bag(path)[0]
             content = _content(recording)
             if content in by_bag:
                 raise IdentificationError(f"the same run as {by_bag[content].name}")

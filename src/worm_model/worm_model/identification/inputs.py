@@ -67,7 +67,6 @@ def read_inputs(
     paths: Sequence[Path],
     bellows_file: Path | None = None,
     fin_file: Path | None = None,
-    definitions: Path | None = None,
     logs: LabSettings = LOGS,
 ) -> Inputs:
     """Read bags and folders or runs of a lab.
@@ -77,14 +76,13 @@ def read_inputs(
     Args:
         paths: bags, folders of a lab or single runs of it.
         bellows_file, fin_file: bench tests.
-        definitions: message definitions, as for `open_bag`.
         logs: settings that the lab's logs do not contain.
 
     Raises:
         IdentificationError: A file is missing or invalid, or two runs have the same name.
         BagError: A bag cannot be read.
     """
-    recordings = tuple(read_recordings(paths, definitions, logs))
+    recordings = tuple(read_recordings(paths, logs))
     _check_names(recordings)
     labs = sorted({_lab_of(path) for path in paths if is_lab_folder(path)})
     folder = labs[0] if len(labs) == 1 else None
@@ -116,16 +114,14 @@ def _grouped_remarks(recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def read_recordings(
-    paths: Sequence[Path], definitions: Path | None = None, logs: LabSettings = LOGS
-) -> list[Recording]:
+def read_recordings(paths: Sequence[Path], logs: LabSettings = LOGS) -> list[Recording]:
     """Read all runs in bags and in a lab's folders; each path may contain several runs."""
     recordings = []
     for path in paths:
         if is_lab_folder(path):
             recordings += [read_lab_recording(run, logs) for run in run_folders(path)]
         else:
-            recordings += read_bag(path, definitions)
+            recordings += read_bag(path)
     return recordings
 
 
@@ -147,9 +143,9 @@ def run_folders(folder: Path) -> list[Path]:
     return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
 
 
-def read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
+def read_bag(path: Path) -> tuple[Recording, ...]:
     """Read the runs in a bag. Raises IdentificationError if they were recorded on a slope, with a tether or in flow."""
-    with open_bag(path, definitions=definitions) as bag:
+    with open_bag(path) as bag:
         conditions = recorded_conditions(bag)
         if conditions != LEVEL:
             raise IdentificationError(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,14 +26,21 @@ from worm_model.bags.formats.cdr import is_whole, types_of
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import Bag, open_bag
-from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    not_negative,
+    notifier,
+    number,
+    run_command,
+)
 from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.claim import ClaimedError, claim_robot
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two polls of the services
-REMINDER_S = 10.0  # between two log lines that name the awaited nodes
+TWIN = "twin"  # name of the twin's node
 UNCHANGED_S = 1.0  # time without a change of the subscribers before the first message
 MATCHING_S = 3.0  # timeout for a subscriber that cannot be connected
 ACKNOWLEDGED_S = 2.0  # timeout for the last messages to reach their subscribers
@@ -42,26 +48,21 @@ LATEST_S = 2**31 - 1  # s since the epoch, the latest time of a message (year 20
 VOLATILE_DEPTH = 1000  # samples that may wait for a slow subscriber
 
 
-def _latched_depth(topic: Topic) -> int:
-    """Return the number of samples for late subscribers.
-
-    This is the depth of the first recorded publisher, or 1 if the depth is unknown or larger than VOLATILE_DEPTH.
-    """
-    depth = first_qos_profile(topic).get("depth")
-    return depth if isinstance(depth, int) and 0 < depth <= VOLATILE_DEPTH else 1
-
-
 def play_qos(topic: Topic) -> QoSProfile:
     """Return the quality of service of a played topic, which is that of its first recorded publisher.
 
     If the bag contains no quality of service, the topic is reliable and latched. This is compatible with every
-    subscriber.
+    subscriber. Late subscribers of a latched topic receive as many samples as from that publisher, or 1 if its depth is
+    unknown or larger than VOLATILE_DEPTH.
     """
     offered = first_qos_profile(topic)
     latched = is_latched(topic) or not offered
     best_effort = offered.get("reliability") == "best_effort"
+    depth = offered.get("depth")
+    if not isinstance(depth, int) or not 0 < depth <= VOLATILE_DEPTH:
+        depth = 1
     return QoSProfile(
-        depth=_latched_depth(topic) if latched else VOLATILE_DEPTH,
+        depth=depth if latched else VOLATILE_DEPTH,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
@@ -92,10 +93,10 @@ class PlayNode(Node):
         self._begin = math.inf
         self._subscribers: dict[str, tuple[int, int]] = {}
         self._changed = time.monotonic()  # time of the last change of the subscribers
-        self._awaited: list[str] = list(options.wait_for)
-        if self._awaited:  # The player takes the place of the robot of its namespace.
+        self._awaits_twin: bool = options.twin
+        if options.twin:  # The player takes the place of the robot of its namespace.
             self._claim = claim_robot(self.get_namespace(), self.context.get_domain_id())
-        self._reminder = time.monotonic() + REMINDER_S
+            self.get_logger().info("waiting for the twin to subscribe")
         self.finished = False
         self.published = 0
         self._rewind()
@@ -118,7 +119,7 @@ class PlayNode(Node):
                 continue
             self._played[channel] = installed
         if not publishers:
-            raise InputError(f"{self._bag.path}: none of the selected topics can be played")
+            raise InputError(f"{self._bag.path}: none of its topics can be played")
         return publishers
 
     @staticmethod
@@ -132,10 +133,8 @@ class PlayNode(Node):
         return installed
 
     def _selected(self) -> Iterator[Topic]:
-        exclude = self._options.exclude
         for channel in self._bag.channels:
-            excluded = bool(exclude) and re.search(exclude, channel.name)
-            if not excluded and channel.name != "/clock":
+            if channel.name != "/clock" and not (self._options.twin and _is_of_twin(channel.name)):
                 yield channel
 
     def _rewind(self) -> None:
@@ -156,7 +155,7 @@ class PlayNode(Node):
     def advance(self) -> float:
         """Publish the messages that are due, and return the wall time (monotonic, s) at which to call this again."""
         wall = time.monotonic()
-        if self._begin > wall and not self._is_awaiting(wall) and self._is_connected(wall):
+        if self._begin > wall and not self._is_awaiting_twin() and self._is_connected(wall):
             self._report_other_publishers()
             self._begin = wall
         while self._pending and self._due(self._pending.log_time) <= wall:
@@ -205,21 +204,16 @@ class PlayNode(Node):
         delay = UNCHANGED_S + (0.0 if connected else MATCHING_S)
         return wall >= self._changed + delay
 
-    def _is_awaiting(self, wall: float) -> bool:
-        """Return True while a node of --wait-for does not subscribe yet, and log its name every REMINDER_S."""
-        if not self._awaited:
-            return False
-        subscribers = {
-            (info.node_name, info.node_namespace)
-            for topic in self._publishers_by_topic
-            for info in self.get_subscriptions_info_by_topic(topic)
-        }
-        own = self.get_namespace()
-        self._awaited = [name for name in self._awaited if (name, own) not in subscribers]
-        if self._awaited and wall >= self._reminder:
-            self._reminder = wall + REMINDER_S
-            self.get_logger().info(f"waiting for {', '.join(self._awaited)} to subscribe")
-        return bool(self._awaited)
+    def _is_awaiting_twin(self) -> bool:
+        """Return True while --twin is given and the twin does not subscribe yet."""
+        if self._awaits_twin:
+            twin = TWIN, self.get_namespace()
+            self._awaits_twin = all(
+                twin != (info.node_name, info.node_namespace)
+                for topic in self._publishers_by_topic
+                for info in self.get_subscriptions_info_by_topic(topic)
+            )
+        return self._awaits_twin
 
     def _publish(self, message: Message) -> None:
         if message.channel not in self._played:
@@ -253,6 +247,12 @@ class PlayNode(Node):
             publisher.wait_for_all_acked(deadline)
 
 
+def _is_of_twin(name: str) -> bool:
+    """Return True for a topic that a live twin publishes."""
+    own = name.endswith(("/body_length/estimated", "/tf")) or name == "/diagnostics"
+    return own or "/twin/" in name
+
+
 def _positive(text: str) -> float:
     value = number(text)
     if value <= 0.0:
@@ -278,12 +278,10 @@ def _parser() -> Parser:
         help="play from this time on, in s since the start of the bag",
     )
     parser.add_argument(
-        "--wait-for",
-        action="append",
-        default=[],
-        metavar="NODE",
-        help="publish the first message only when this node, in the player's namespace, subscribes to a played topic; "
-        "may be repeated",
+        "--twin",
+        action="store_true",
+        help="for the live twin in the player's namespace: begin when the twin subscribes, and leave out the topics "
+        "that it publishes",
     )
     parser.add_argument(
         "--clock",
@@ -292,18 +290,11 @@ def _parser() -> Parser:
         metavar="HZ",
         help="rate of /clock, 0: none (default 100)",
     )
-    parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics to exclude")
     return parser
 
 
 def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
-    try:
-        re.compile(options.exclude)
-    except re.error as error:
-        raise InputError(
-            f"--exclude {options.exclude!r} is not a regular expression: {error}"
-        ) from None
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, notifier("play")) as bag:
         length = bag.duration_s
         if not bag.message_count:
             raise InputError(f"{options.bag} contains no messages")
@@ -332,10 +323,6 @@ def _spin(node: PlayNode, executor: SingleThreadedExecutor, ended: Callable[[], 
         executor.spin_once(timeout_sec=0.0)
         time.sleep(max(due - time.monotonic(), 0.0))
     node.drain()
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"play: {line}\n")
 
 
 def main() -> int:

@@ -9,9 +9,7 @@ Polling does not affect the accuracy of stamps, because they come from the middl
 from __future__ import annotations
 
 import importlib
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rclpy.node import Node
@@ -31,89 +29,38 @@ from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import installed_definition
-from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
-from worm_model.run import SAME_ONSET_NS, Activity, nanoseconds
+from worm_model.bags.worm_topics import GAIT_STATE, IMAGES, TWIN_EVENT
+from worm_model.run import Activity
 from worm_model.twin.cause_table import NEAR_EDGE
 from worm_msgs.node_command import declare_none
 
 DEPTH = 1000  # messages of a topic that may wait between two polls
 
 
-@dataclass(frozen=True)
-class TopicSelection:
-    """Topics selected by name, by regular expression, or all.
-
-    Attributes:
-        names: full topic names, always included.
-        everything: include all topics that are not hidden.
-        regex: pattern of further topics that are not hidden, searched for in the full name; empty: none.
-        exclude: pattern of topics that `everything` and `regex` do not include, searched for like `regex`; empty: none.
-    """
-
-    names: frozenset[str] = frozenset()
-    everything: bool = False
-    regex: str = ""
-    exclude: str = ""
-
-    def __post_init__(self) -> None:
-        if not (self.names or self.everything or self.regex):
-            raise BagError("no topics: name some, or give --regex or --all")
-        for pattern in (self.regex, self.exclude):
-            try:
-                re.compile(pattern)
-            except re.error as error:
-                raise BagError(f"{pattern!r} is not a regular expression: {error}") from None
-
-    def takes(self, topic: str) -> bool:
-        """Return True if a topic with this full name is recorded."""
-        if topic in self.names:
-            return True
-        if any(part.startswith("_") for part in topic.split("/")):
-            return False  # hidden topics, such as an action's feedback
-        if self.exclude and re.search(self.exclude, topic):
-            return False
-        return self.everything or bool(self.regex and re.search(self.regex, topic))
-
-
 class LossCounter:
-    """Counter of the lost messages of one topic, based on the publishers' sequence numbers.
+    """Counter of the lost messages of one topic, based on the publisher's sequence numbers.
 
     The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
-    For each publisher, the number of lost messages is the increase of its numbers minus the number of its messages that
-    were received after its first one. The counter reports the sum over the publishers. This sum is correct even
-    if the counter confuses two publishers that have similar numbers. The counter uses the present number of publishers
-    to distinguish a publisher that joins late from lost messages.
+    Gaps are therefore counted only while the topic has one publisher.
 
     Args:
         publishers: returns the present number of publishers of the topic; called only for a number out of sequence.
 
     Attributes:
-        lost: number of missing messages between received messages of the same publisher.
+        lost: number of missing messages.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
-        # Last sequence number of each publisher, the least recently received first
-        self._last: list[int] = []
+        self._last = 0
         self.lost = 0
 
     def observe(self, sequence: int) -> None:
         """Account for a received message with a sequence number, which its publisher counts from 1."""
-        if sequence - 1 in self._last:  # the usual case
-            self._last.remove(sequence - 1)
-        else:
-            self._observe_out_of_sequence(sequence)
-        self._last.append(sequence)
-
-    def _observe_out_of_sequence(self, sequence: int) -> None:
-        """Process a number out of sequence: a publisher is new or has restarted, or messages were lost."""
-        publishers = max(self._publishers(), 1)
-        earlier = [last for last in self._last if last < sequence]
-        if earlier and len(self._last) >= publishers:
-            self.lost += sequence - max(earlier) - 1
-            self._last.remove(max(earlier))
-        while len(self._last) >= publishers:
-            self._last.pop(0)  # the number of a publisher that has ended
+        gap = sequence - self._last - 1
+        if self._last and gap > 0 and self._publishers() == 1:
+            self.lost += gap
+        self._last = sequence
 
 
 class _RawSubscription:
@@ -185,21 +132,19 @@ def _describe_qos(publishers: Sequence[TopicEndpointInfo]) -> list[Mapping[str, 
 
 
 class RecordNode(Node):
-    """Node that subscribes to the selected topics as they appear.
+    """Node that subscribes to topics as they appear.
 
     Args:
-        selection: the topics; names relative to the node's namespace are resolved.
+        names: the topics; names relative to the node's namespace are resolved. If empty: all topics of the namespace
+            and /diagnostics, except IMAGES.
     """
 
-    def __init__(self, selection: TopicSelection) -> None:
+    def __init__(self, names: Iterable[str]) -> None:
         super().__init__("recorder")
         declare_none(self)
-        names = frozenset(map(self._full_name, selection.names))
-        self._selection = replace(selection, names=names)
+        self._names = frozenset(map(self._full_name, names))
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
         self._rejected: dict[str, str] = {}  # reason by name of a topic that cannot be recorded
-        self._run, self._onset = 0, 0  # number and onset (ns) of the last reported run
-        self._reported = False
         self._drivers: dict[str, int] = {}  # last state of each driver, by topic
         self._warned: set[str] = set()
 
@@ -240,13 +185,10 @@ class RecordNode(Node):
         return sum(subscription.loss.lost for subscription in self._subscriptions_by_name.values())
 
     @property
-    def missing(self) -> list[str]:
-        """Topics that were requested by name and are not subscribed: they have not appeared, or cannot be recorded."""
-        return sorted(self._selection.names - self._subscriptions_by_name.keys())
-
-    def why_missing(self, name: str) -> str:
-        """Return the reason why a missing topic is not subscribed."""
-        return self._rejected.get(name, "no publisher was found")
+    def missing(self) -> dict[str, str]:
+        """Reasons by name of the topics that were requested by name and are not subscribed."""
+        missing = sorted(self._names - self._subscriptions_by_name.keys())
+        return {name: self._rejected.get(name, "no publisher was found") for name in missing}
 
     @property
     def topics(self) -> list[Topic]:
@@ -264,17 +206,19 @@ class RecordNode(Node):
                     )
         for name, types in self.get_topic_names_and_types():
             new = name not in self._subscriptions_by_name and name not in self._rejected
-            if new and self._selection.takes(name) and self.count_publishers(name):
+            if new and self._selects(name, types) and self.count_publishers(name):
                 self._subscribe(name)
             if name in self._subscriptions_by_name and len(types) > 1:
-                self._warn_of_types(self._subscriptions_by_name[name].topic, types)
+                kind = self._subscriptions_by_name[name].topic.type_name
+                others = ", ".join(sorted(set(types) - {kind}))
+                self._warn(f"{name} is also published as {others}: only {kind} is recorded")
 
-    def _warn_of_types(self, topic: Topic, types: Sequence[str]) -> None:
-        """Log that a recorded topic has further types."""
-        others = ", ".join(sorted(set(types) - {topic.type_name}))
-        self._warn(
-            f"{topic.name} is also published as {others}: only {topic.type_name} is recorded"
-        )
+    def _selects(self, name: str, types: Collection[str]) -> bool:
+        if self._names:
+            return name in self._names
+        hidden = any(part.startswith("_") for part in name.split("/"))  # an action's feedback
+        own = name == "/diagnostics" or name.startswith(f"{self.get_namespace().rstrip('/')}/")
+        return own and not hidden and IMAGES.isdisjoint(types)
 
     def _warn(self, line: str) -> None:
         """Log a warning once."""
@@ -310,15 +254,21 @@ class RecordNode(Node):
             for sample in subscription.take()
         ]
 
-    def new_gaits(self, samples: Sequence[Message]) -> Iterator[dict[str, str]]:
-        """Yield the fields of each gait that has begun according to the messages, once per run."""
+    def observe(self, samples: Sequence[Message]) -> str:
+        """Store the states of drivers in some messages, and return the text of the twin's last alarm in them, or "".
+
+        An event for information is no alarm.
+        """
+        alarm = ""
         for sample in samples:
-            if sample.channel.type_name == GAIT_STATE:
-                state: Any = deserialize_message(sample.data, message_class(GAIT_STATE))
-                self._drivers[sample.topic] = state.state
-                gait = _describe_gait(state)
-                if gait and not self._is_known(state):
-                    yield gait
+            kind = sample.channel.type_name
+            if kind in (GAIT_STATE, TWIN_EVENT):
+                message: Any = deserialize_message(sample.data, message_class(kind))
+                if kind == GAIT_STATE:
+                    self._drivers[sample.topic] = message.state
+                elif message.code not in ("", NEAR_EDGE.code):
+                    alarm = message.message or message.code
+        return alarm
 
     @property
     def awaits_rest(self) -> bool:
@@ -327,33 +277,6 @@ class RecordNode(Node):
             state != Activity.INACTIVE and self.count_publishers(topic) > 0
             for topic, state in self._drivers.items()
         )
-
-    def alarm(self, samples: Sequence[Message]) -> str:
-        """Return the text of the twin's last alarm in the messages; empty without an alarm.
-
-        An event for information is no alarm.
-        """
-        events: list[Any] = [
-            deserialize_message(sample.data, message_class(TWIN_EVENT))
-            for sample in samples
-            if sample.channel.type_name == TWIN_EVENT
-        ]
-        information = ("", NEAR_EDGE.code)
-        return next(
-            (e.message or e.code for e in reversed(events) if e.code not in information), ""
-        )
-
-    def _is_known(self, state: Any) -> bool:
-        """Return True if a state belongs to the last reported run, and store its run as the last reported one.
-
-        A different onset makes it another run even with the same number, because a restarted driver counts from 1. The
-        onset of one run may differ slightly between states.
-        """
-        onset = nanoseconds(state.onset)
-        same_onset = not self._onset or abs(onset - self._onset) <= SAME_ONSET_NS
-        known = self._reported and state.run == self._run and same_onset
-        self._reported, self._run, self._onset = True, state.run, onset
-        return known
 
 
 def message_class(type_name: str) -> type:
@@ -372,15 +295,3 @@ def message_class(type_name: str) -> type:
             f"{name} is not installed; source the workspace that contains it"
         ) from None
     return kind_class
-
-
-def _describe_gait(state: Any) -> dict[str, str]:
-    """Return the fields of a running gait as text; empty if none runs."""
-    if state.state != state.RUNNING or state.gait.stroke <= 0.0:
-        return {}
-    gait = {key: repr(getattr(state.gait, key)) for key in state.gait.get_fields_and_field_types()}
-    return gait | {
-        "cycles": str(state.cycles),
-        "onset_ns": str(nanoseconds(state.onset)),
-        "run": str(state.run),
-    }

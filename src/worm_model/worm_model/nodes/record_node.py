@@ -14,9 +14,9 @@ from worm_model.bags.formats.bag_errors import BagError, UnwritableError
 from worm_model.bags.formats.finding import TIME_FIELD, dated
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.recording_session import RecordingSession, after_crash
-from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
+from worm_model.bags.recording.run_manifest import is_text, run_manifest
 from worm_model.commands import command_line
-from worm_model.nodes.raw_subscriptions import RecordNode, TopicSelection
+from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs.conditions import conditions_of
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
@@ -31,7 +31,12 @@ def _parser() -> command_line.Parser:
         description="Record topics to a rosbag2 bag (MCAP) until Ctrl-C or another signal. Messages are written to the "
         "disk twice a second.",
     )
-    parser.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record")
+    parser.add_argument(
+        "topics",
+        nargs="*",
+        metavar="TOPIC",
+        help="topics to record (default: all topics of the node's namespace and /diagnostics, except images)",
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -39,15 +44,6 @@ def _parser() -> command_line.Parser:
         default=Path(f"worm_{TIME_FIELD}"),
         help=f"the bag, a directory that must not exist; {TIME_FIELD} is replaced by the time at which it begins "
         "(default: %(default)s)",
-    )
-    parser.add_argument("-a", "--all", action="store_true", help="all topics that are not hidden")
-    parser.add_argument("-e", "--regex", default="", help="topics with a match in the full name")
-    parser.add_argument(
-        "-x",
-        "--exclude",
-        default="",
-        metavar="REGEX",
-        help="topics that --all and --regex do not select",
     )
     parser.add_argument(
         "-p",
@@ -139,13 +135,9 @@ class _Recorder:
     def take(self) -> None:
         """Pass received messages on to the session."""
         messages = self._node.take()
-        if not messages:
-            return
         self._session.offer(messages)
-        for gait in self._node.new_gaits(messages):
-            self._session.note(GAIT_RECORD, gait)
-        alarm = self._node.alarm(messages) if self._session.ring_s else ""
-        if alarm:
+        alarm = self._node.observe(messages)
+        if alarm and self._session.ring_s:
             try:
                 outcome = self._session.snapshot()
             except (BagError, OSError) as error:  # The next snapshot may succeed.
@@ -153,12 +145,11 @@ class _Recorder:
             self._node.get_logger().warning(f"the twin raises an alarm ({alarm}): {outcome}")
 
     def totals(self) -> dict[str, int | float]:
-        """Return the totals so far; ``dropped`` counts messages lost in transit and messages not written."""
-        offered, dropped = self._session.offered, self._session.dropped
+        """Return the totals so far; ``dropped`` counts the messages that were lost in transit."""
         return {
-            "messages": offered.messages - dropped.messages,
-            "bytes": offered.bytes - dropped.bytes,
-            "dropped": self._node.lost + dropped.messages,
+            "messages": self._session.messages,
+            "bytes": self._session.bytes,
+            "dropped": self._node.lost,
             "topics": len(self._node.topics),
             "duration": round(self.elapsed, 3),
         }
@@ -189,13 +180,7 @@ def _session(arguments: argparse.Namespace, command: Sequence[str]) -> Recording
 
 
 def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownRequest) -> int:
-    selection = TopicSelection(
-        frozenset(arguments.topics),
-        everything=arguments.all,
-        regex=arguments.regex,
-        exclude=arguments.exclude,
-    )
-    node = RecordNode(selection)
+    node = RecordNode(arguments.topics)
     session = _session(arguments, command)
     node.offer_service("snapshot", session.snapshot)
     what = f"the last {session.ring_s:g} s, for snapshots named after" if session.ring_s else "to"
@@ -217,20 +202,20 @@ def _report(
 ) -> int:
     recording.show("\n")
     notify = command_line.notifier("record")
-    for name in node.missing:
-        notify(f"{name} is not recorded: {node.why_missing(name)}")
+    for name, reason in node.missing.items():
+        notify(f"{name} is not recorded: {reason}")
     if arguments.json:
         outcome = {
             "bag": str(session.output),
             "bags": [str(bag) for bag in session.bags],
             **recording.totals(),
-            "missing": node.missing,
+            "missing": list(node.missing),
         }
         command_line.print_json(outcome)
     error = session.error
     if error is not None:
         notify(
-            f"{session.failed} could not be written: {error}. All commands read what is on the disk"
+            f"{session.output} could not be written: {error}. All commands read what is on the disk"
         )
     return command_line.DONE if error is None else command_line.FAILED
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from worm_model.bags.formats.finding import METADATA_FILE
-from worm_model.commands.bag_columns import COLUMNS
+from worm_model.commands.bag_runs import COLUMNS
 from worm_model.errors import InputError
 from worm_optimizer.code_version import code_identity
 from worm_optimizer.operation.processes import executable_command

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 
+from worm_model.bags.worm_topics import IMAGES
 from worm_msgs.claim import ANNOUNCED_S, DRIVER_SERVICE
 from worm_optimizer.nodes.service_caller import DISCOVERY_TIMEOUT_S, OperatorError, ServiceCaller
 
@@ -63,35 +63,29 @@ class RobotGraph:
                 "give each its own namespace or ROS_DOMAIN_ID"
             )
 
-    def wait_for_recorder(self, name: str, excluded: str = "") -> None:
-        """Wait until a recorder has subscribed to all visible topics of this namespace that have publishers.
+    def wait_for_recorder(self, name: str) -> None:
+        """Wait until a recorder has subscribed to all topics of this namespace that have publishers, except images.
 
         Without this wait, the recording would lack the first messages.
 
         Args:
             name: name of the recorder's node.
-            excluded: regular expression of the topics that the recorder does not record. If it is empty, the recorder
-                records all topics.
 
         Raises:
             OperatorError: The recorder did not subscribe in time. The message contains a missing topic.
         """
-
-        def missing() -> list[str]:
-            topics = self._topics_without(name)
-            return [topic for topic in topics if not (excluded and re.search(excluded, topic))]
-
-        self._node.wait(lambda: not missing(), DISCOVERY_TIMEOUT_S)
-        if topics := missing():
+        self._node.wait(lambda: not self._topics_without(name), DISCOVERY_TIMEOUT_S)
+        if topics := self._topics_without(name):
             raise OperatorError(f"{name} does not subscribe to {topics[0]}")
 
     def _topics_without(self, subscriber: str) -> list[str]:
         node, prefix = self._node, self._node.get_namespace().rstrip("/") + "/"
         return [
             topic
-            for topic, _ in node.get_topic_names_and_types()
+            for topic, types in node.get_topic_names_and_types()
             if topic.startswith(prefix)
             and "/_" not in topic
+            and IMAGES.isdisjoint(types)
             and node.count_publishers(topic) > 0
             and subscriber not in [i.node_name for i in node.get_subscriptions_info_by_topic(topic)]
         ]

@@ -47,7 +47,6 @@ BUSY = 1.5  # load average per processor above which the load may be the cause o
 # Option of a recorder: after an interrupt, record until torque is released. `recording` removes it, because its
 # recorders end before the torque is released.
 _TO_REST = "--to-rest"
-_EXCLUDE = "--exclude"  # option of a recorder, followed by a regular expression of topics
 FAILURES = (ProcessError, OperatorError, RecordingError)
 
 Say = Callable[[str], None]
@@ -245,7 +244,7 @@ def recording(
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
     bag = bag_of(start_node(group, own, node.get_namespace().strip("/")))
-    node.graph.wait_for_recorder(name, left_out(recorder))
+    node.graph.wait_for_recorder(name)
     yield bag
     node.rest(AFTERWARDS_S)
     group.end(name)
@@ -254,12 +253,6 @@ def recording(
 def bag_of(recorder: Process) -> Path:
     """Return the path of a recorder's bag. The recorder logs this path at its start."""
     return Path(recorder.wait_for_line(r": recording to (.+)$", START_S)[1])
-
-
-def left_out(recorder: NodeDescription) -> str:
-    """Return the regular expression of the topics that a recorder excludes; empty if it excludes none."""
-    words = recorder.arguments
-    return words[words.index(_EXCLUDE) + 1] if _EXCLUDE in words else ""
 
 
 def once_per_cycle(say: Say, command: GaitCommand) -> Callable[[RunProgress], None]:

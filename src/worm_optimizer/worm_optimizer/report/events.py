@@ -102,7 +102,7 @@ def _diagnostic_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
 
 def _columns(bag: Bag, topic: Topic | None) -> MessageColumns | None:
     """Return the messages of a topic, or None if there are none."""
-    columns = None if topic is None else read_columns(bag, [topic])[topic.name]
+    columns = None if topic is None else read_columns(bag, topic)
     return columns if columns is not None and columns.numbers else None
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
-from worm_model.commands import bag_columns, bag_runs, bags
+from worm_model.commands import bag_runs, bags
 from worm_model.gait import Gait, named_values
 
 SAMPLES = Path(__file__).resolve().parents[4] / "bags"
@@ -166,17 +166,3 @@ def test_a_run_is_cut_out_by_its_number(run, tmp_path):
     with open_bag(SAMPLES / "forward") as whole, open_bag(output) as part:
         assert list(part.messages()) == list(whole.messages())
     assert run("trim", SAMPLES / "forward", "--run", 2, "--output", tmp_path / "no")[0] == 2
-
-
-def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):
-    """An index from before the change is not used."""
-    run("table", SAMPLES / "forward")
-    column = bag_columns.RunColumn(
-        "strokes", "strokes mm", lambda figures: figures.played.gait.stroke
-    )
-    monkeypatch.setattr(bag_columns, "COLUMNS", (*bag_columns.COLUMNS, column))
-    (row,) = json.loads(run("table", SAMPLES / "forward", "--json")[1])["runs"]
-    assert row["strokes"] == row["gait"]["stroke"]
-    status, reported, _ = run("table", SAMPLES / "forward")
-    assert (status, reported.splitlines()[0].split()[-2:]) == (0, ["strokes", "mm"])
-    assert reported.splitlines()[1].split()[-1] == "0.07"

@@ -133,7 +133,7 @@ def test_nothing_is_overwritten(outcome, monkeypatch, capsys):
 
 def test_a_bag_gives_the_result_of_the_folder(shared, tmp_path):
     folder = shared / "campaign" / "run_07"
-    import_lab(folder, tmp_path / "run_07", LabSettings(epoch=10**18), "/worm")
+    import_lab(folder, tmp_path / "run_07", LabSettings(epoch=10**18))
     bag, log = read_recordings([tmp_path / "run_07", folder])
     assert bag.gait == log.gait
     for name in ("camera_time", "x1", "x2", "command_time", "command", "power"):

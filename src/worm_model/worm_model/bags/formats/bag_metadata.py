@@ -21,6 +21,7 @@ METADATA_ROOT = "rosbag2_bagfile_information"
 VERSION = 9
 STATE = "state"  # key in custom_data of a bag that this package records
 UNFINISHED, CLOSED = "being recorded", "closed"  # its values
+FOREVER = (2**63 - 1,) * 3  # ns; times of a QoS profile without limits
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # C is ten times faster
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 

@@ -21,7 +21,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.message_block import Bytes, Integers, Messages, Topic
+from worm_model.bags.formats.message_block import Bytes, Integers, Messages, Times, Topic
 from worm_model.bags.formats.message_types import (
     REMEDY,
     Types,
@@ -51,17 +51,29 @@ class MessageColumns:
         numbers: shape (messages,), or (messages, elements) for an array. If some messages lack the field or differ in
             the length of an array, the dtype is object: None, a Python number, or an array for each message.
         texts: one text per message, None if the message lacks the field.
+        log_time: times of reception, ns since the epoch.
     """
 
     numbers: dict[str, NDArray[Any]] = field(default_factory=dict)
     texts: dict[str, list[str | None]] = field(default_factory=dict)
+    log_time: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 class ColumnBuilder:
-    """Builder of columns from several blocks of messages, whose layouts and definitions may differ."""
+    """Builder of columns from several blocks of messages, whose layouts and definitions may differ.
 
-    def __init__(self) -> None:
-        self.count = 0
+    Args:
+        longest: largest number of elements of an array; longer arrays are omitted. None: any number.
+
+    Attributes:
+        omitted: paths of the omitted arrays.
+    """
+
+    def __init__(self, longest: int | None = None) -> None:
+        self.omitted: set[str] = set()
+        self._longest = longest
+        self._count = 0
+        self._log_times: list[Times] = []
         self._numbers: dict[str, list[tuple[Integers, NDArray[Any]]]] = {}
         self._texts: dict[str, list[tuple[Integers, list[str]]]] = {}
 
@@ -82,33 +94,48 @@ class ColumnBuilder:
                     else f"; the bag contains no definition: {REMEDY}"
                 )
                 raise BagError(f"{topic.name}: {error}{hint}") from None
-        self.count += len(messages)
+        self._count += len(messages)
+        self._log_times.append(messages.log_time)
 
     def _add_channel(self, messages: Messages, waiting: Integers, topic: Topic) -> None:
         types = types_of(topic)
         while len(waiting):
-            first = int(waiting[0])
-            layout = _Layout(messages.payload(first), topic.type_name, types)
-            candidates = waiting[messages.size[waiting] == messages.size[first]]
+            candidates = waiting[messages.size[waiting] == messages.size[waiting[0]]]
             data = messages.payloads(candidates)
+            layout = _Layout(data[0].tobytes(), topic.type_name, types)
             same = layout.fits(data)
-            rows = candidates[same] + self.count
+            rows = candidates[same] + self._count
             for path, values in layout.numbers(data[same]):
-                self._numbers.setdefault(path, []).append((rows, values))
+                if self._longest is not None and values[0].size > self._longest:
+                    self.omitted.add(path)
+                else:
+                    self._numbers.setdefault(path, []).append((rows, values))
             for path, texts in layout.texts(data[same]):
                 self._texts.setdefault(path, []).append((rows, texts))
             waiting = np.setdiff1d(waiting, candidates[same], assume_unique=True)
 
     def columns(self) -> MessageColumns:
         """Return the columns of all messages added so far."""
-        numbers = {path: _joined(parts, self.count) for path, parts in self._numbers.items()}
+        numbers = {
+            path: _joined(parts, self._count)
+            for path, parts in self._numbers.items()
+            if path not in self.omitted
+        }
         texts: dict[str, list[str | None]] = {}
         for path, parts in self._texts.items():
-            column = texts.setdefault(path, [None] * self.count)
+            column = texts.setdefault(path, [None] * self._count)
             for rows, values in parts:
                 for row, value in zip(rows.tolist(), values, strict=True):
                     column[row] = value
-        return MessageColumns(numbers, texts)
+        log_time = np.concatenate([np.empty(0, np.uint64), *self._log_times])
+        return MessageColumns(numbers, texts, log_time.astype(np.int64))
+
+
+def decode(messages: Messages) -> MessageColumns:
+    """Return the columns of a block of messages. Raises BagError as `ColumnBuilder.add`."""
+    builder = ColumnBuilder()
+    builder.add(messages)
+    return builder.columns()
 
 
 def types_of(topic: Topic) -> Types:

@@ -14,7 +14,6 @@ from worm_model.errors import InputError, printable
 
 METADATA_FILE = "metadata.yaml"
 STORAGE = (".mcap", ".db3")
-COMPRESSED = ".zstd"
 TIME_FIELD = "{time}"  # placeholder in a bag's name for the time at which its recording begins
 
 
@@ -36,8 +35,8 @@ def dated(output: Path) -> Path:
 
 
 def is_storage(name: str) -> bool:
-    """Return True if a file name has the ending of a file of a bag, with or without rosbag2's compression."""
-    return name.removesuffix(COMPRESSED).endswith(STORAGE)
+    """Return True if a file name has the ending of a file of a bag."""
+    return name.endswith(STORAGE)
 
 
 def recovered_path(bag: Path) -> Path:
@@ -82,7 +81,7 @@ def _walked(folder: Path) -> list[Path]:
     for place, inner, names in os.walk(folder):
         path = Path(place)
         files = [f for name in names if is_storage(name) and (f := path / name).is_file()]
-        split = re.compile(rf"{re.escape(printable(path.resolve().name))}_\d+\.\w+(\.zstd)?")
+        split = re.compile(rf"{re.escape(printable(path.resolve().name))}_\d+\.\w+")
         if METADATA_FILE in names or (files and all(split.fullmatch(f.name) for f in files)):
             bags.append(path)
             inner.clear()

@@ -3,7 +3,7 @@
 
 Opening a file surveys its records in their order. Records of kinds that the specification reserves are skipped, and so
 are additional fields at the end of a record, as later versions of the format may have them. A chunk that does not
-decompress, fails its checksum, or declares or yields more than LARGEST_CHUNK bytes is skipped. Where the sequence of
+decompress, fails its checksum, or declares more than LARGEST_CHUNK bytes is skipped. Where the sequence of
 records is broken, reading continues at the next intact chunk; if there is none, the file ends there, as at a cut.
 """
 
@@ -13,37 +13,36 @@ import mmap
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
-import lz4.frame
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
+from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
 from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.finding import check_readable
 from worm_model.bags.formats.message_block import Messages, Topic
 from worm_model.bags.formats.stored_file import (
     AttachedFile,
     Extent,
     MetadataRecord,
     StoredFile,
-    opened,
     spans_of,
 )
 
 Buffer = memoryview | bytes
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 256 << 20  # decompressed bytes; writers make chunks of about a megabyte
-# largest size (bytes) of a block of several extents; fewer blocks need fewer calls of numpy
-TOGETHER_BYTES = 1 << 20
+TOGETHER_BYTES = 1 << 20  # size at which an extent of messages outside of chunks ends
 DAMAGE = (
     McapError,
     struct.error,
@@ -67,8 +66,7 @@ _HEAD = np.dtype(
     ]
 )  # head of a message record
 _MESSAGE_BODY = _HEAD.itemsize - _RECORD.size  # bytes before the payload
-# first and last log time, size, checksum, length of the name of the compression algorithm
-_CHUNK = struct.Struct("<QQQII")
+_COMPRESSIONS = ("", "zstd", "lz4")
 # beginning of the record of a chunk; the length of the name of its compression algorithm precedes the name
 _BEGINNING = re.compile(rb"(?s)\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))")
 _MESSAGE, _CHUNK_RECORD = Opcode.MESSAGE.value, Opcode.CHUNK.value
@@ -92,64 +90,48 @@ class McapFile(StoredFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        with opened(path) as stream:
-            try:
+        check_readable(path)
+        try:
+            with path.open("rb") as stream:
                 mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-            except ValueError:
-                raise BagError(
-                    f"{path} is empty: nothing was recorded, or its disk was full"
-                ) from None
+        except ValueError:
+            raise BagError(f"{path} is empty: nothing was recorded, or its disk was full") from None
+        except OSError as error:
+            raise BagError(f"{path} cannot be read: {error.strerror}") from None
         self._data = memoryview(mapped)
         if self._data[: len(MAGIC)] != MAGIC:
             beginning = bytes(self._data[: len(MAGIC)])
             raise BagError(f"{path} is not an MCAP file: it begins with {beginning!r}")
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        self._counts: Counter[int] = Counter()  # messages by channel
         self._declared: int | None = None  # number of messages according to the summary
         self._missing = 0  # bytes that cannot be read
         self._is_chunked = False
         self._is_altered = False  # the checksum of the data section is wrong
         self._survey()
         self.channels = {
-            number: _topic(channel, self._schemas.get(channel.schema_id))
+            number: _topic(channel, self._schemas.get(channel.schema_id), self._counts[number])
             for number, channel in sorted(self._channels.items())
         }
-        for number in self.counts.keys() - self.channels.keys():
-            lost = self.counts.pop(number)
-            self.remarks.append(f"{lost} messages of channel {number} have no definition")
+        self._topics = tuple(self.channels.values())
+        for number in self._counts.keys() - self.channels.keys():
+            self.remarks.append(
+                f"{self._counts[number]} messages of channel {number} have no definition"
+            )
 
-    def blocks(
-        self, extents: Iterable[Extent], topics: frozenset[str]
-    ) -> Iterator[tuple[int, Messages]]:
-        """Yield (start in ns, block) for the messages of some topics in extents that are in order of start.
-
-        Consecutive small extents form one block, because a recorder that often synchronises writes many small
-        chunks.
-        """
-        parts: list[Buffer] = []
-        start, size = 0, 0
-        for extent in extents:
-            records = self._records_of(extent)
-            if parts and size + len(records) > TOGETHER_BYTES:
-                yield start, self._messages(parts, topics)
-                parts, size = [], 0
-            start = start if parts else extent.start
-            parts.append(records)
-            size += len(records)
-        if parts:
-            yield start, self._messages(parts, topics)
-
-    def _messages(self, parts: Sequence[Buffer], topics: frozenset[str]) -> Messages:
-        """Return messages of some topics in the order of the file."""
-        records = b"".join(parts) if len(parts) > 1 else parts[0]
+    def messages(self, extent: Extent, topics: frozenset[str]) -> Messages:
+        """Return the messages of some topics in an extent, in the order of the file."""
+        part = self._data[extent.first : extent.last]
+        records = part if part[0] == _MESSAGE else _content(part)[0]
         offset, heads, _ = _sorted_out(records)
-        lookup = np.full(1 << 16, -1)
+        channel = np.full(len(heads), -1)
         for row, (number, topic) in enumerate(self.channels.items()):
-            lookup[number] = row if topic.name in topics else -1
-        channel = lookup[heads["channel"].astype(np.int64)]
+            if topic.name in topics:
+                channel[heads["channel"] == number] = row
         rows = np.flatnonzero(channel >= 0)
         return Messages(
-            tuple(self.channels.values()),
+            self._topics,
             np.frombuffer(records, np.uint8),
             channel[rows],
             offset[rows] + _HEAD.itemsize,
@@ -157,11 +139,6 @@ class McapFile(StoredFile):
             heads["log_time"][rows].astype(np.uint64),
             heads["publish_time"][rows].astype(np.uint64),
         )
-
-    def _records_of(self, extent: Extent) -> Buffer:
-        """Return the records of an extent, decompressed."""
-        part = self._data[extent.first : extent.last]
-        return part if part[0] == _MESSAGE else _content(part)[0]
 
     # --- survey -----------------------------------------------------------------------------------
 
@@ -175,7 +152,7 @@ class McapFile(StoredFile):
                 self._read(opcode, first, last, content)
             except DAMAGE:
                 self._missing += last - first
-        size, found = len(self._data), self.counts.total()
+        size, found = len(self._data), self._counts.total()
         if self._declared not in (None, found):
             self.remarks.append(
                 f"its summary declares {self._declared} messages, its data holds {found}"
@@ -254,7 +231,7 @@ class McapFile(StoredFile):
         if len(heads):
             times = heads["log_time"]
             numbers, counts = np.unique(heads["channel"], return_counts=True)
-            self.counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
+            self._counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
             self.spans += spans_of(times)
             self.extents.append(Extent(int(times.min()), int(times.max()), first, last))
 
@@ -280,11 +257,11 @@ class McapFile(StoredFile):
                 )
 
 
-def _topic(channel: Channel, schema: Schema | None) -> Topic:
+def _topic(channel: Channel, schema: Schema | None, count: int) -> Topic:
     return Topic(
         name=channel.topic,
         type_name=schema.name if schema else "",
-        count=0,
+        count=count,
         definition=schema.data.decode(errors="replace") if schema else "",
         definition_format=schema.encoding if schema else "",
         encoding=channel.message_encoding,
@@ -304,18 +281,22 @@ def _record(data: Buffer, place: int) -> tuple[int, int]:
     return 0, place
 
 
-class _StrictBytes(BytesIO):
-    """Stream that raises EndOfFile where `BytesIO` would return fewer bytes, so that a damaged length is detected."""
+class _Bytes:
+    """Stream that raises EndOfFile where it would return fewer bytes, so that a damaged length is detected."""
 
-    def read(self, size: int | None = -1, /) -> bytes:
-        data = super().read(size)
-        if len(data) != size:
+    def __init__(self, data: Buffer) -> None:
+        self._data = memoryview(data)
+        self._place = 0
+
+    def read(self, size: int) -> bytes:
+        first, self._place = self._place, self._place + size
+        if self._place > len(self._data):
             raise EndOfFile
-        return data
+        return bytes(self._data[first : self._place])
 
 
 def _fields(body: Buffer) -> ReadDataStream:
-    return ReadDataStream(_StrictBytes(body))
+    return ReadDataStream(cast(BinaryIO, _Bytes(body)))
 
 
 def _sorted_out(
@@ -351,25 +332,21 @@ def _sorted_out(
     return offset, heads, others
 
 
-def _content(record: Buffer) -> tuple[Buffer, int]:
+def _content(record: Buffer) -> tuple[bytes, int]:
     """Return the decompressed records of a chunk, and the length of its record without additional fields.
-
-    Compressed records end by themselves, and others have the declared size. Their declared length does not count.
 
     Raises one of DAMAGE unless they are intact.
     """
-    _, _, size, checksum, name_length = _CHUNK.unpack_from(record, _RECORD.size)
-    first = _RECORD.size + _CHUNK.size + name_length + 8
-    name = bytes(record[first - 8 - name_length : first - 8])
-    (length,) = struct.unpack_from("<Q", record, first - 8)
-    if name not in _DECOMPRESS or size > LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {size} bytes, compressed by {name[:8]!r}, is not read")
-    records = _DECOMPRESS[name](record[first:], size)
-    if checksum and zlib.crc32(records) != checksum:
-        raise ValueError("the checksum of a chunk is wrong")
-    if not checksum and len(records) != size:
-        raise ValueError(f"a chunk does not hold the {size} bytes that it declares")
-    return records, min(first + length, len(record))
+    fields = _fields(record[_RECORD.size :])
+    chunk = Chunk.read(fields)
+    if chunk.compression not in _COMPRESSIONS or chunk.uncompressed_size > LARGEST_CHUNK:
+        raise ValueError(
+            f"a chunk of {chunk.uncompressed_size} bytes, compressed by {chunk.compression[:8]!r}, is not read"
+        )
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    if not chunk.uncompressed_crc and size != chunk.uncompressed_size:
+        raise ValueError(f"a chunk does not hold the {chunk.uncompressed_size} bytes it declares")
+    return stream.read(size), _RECORD.size + fields.count
 
 
 def _next_chunk(data: Buffer, place: int) -> tuple[int, int]:
@@ -380,24 +357,3 @@ def _next_chunk(data: Buffer, place: int) -> tuple[int, int]:
             if len(records):
                 return match.start(), match.start() + length
     return len(data), len(data)
-
-
-def _from_zstd(data: Buffer, size: int) -> bytes:
-    if zstandard.frame_content_size(data) > LARGEST_CHUNK:
-        raise ValueError("a chunk decompresses to too many bytes")
-    return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-
-
-def _from_lz4(data: Buffer, size: int) -> bytes:
-    decompressor = lz4.frame.LZ4FrameDecompressor()
-    records: bytes = decompressor.decompress(bytes(data), max_length=size)
-    if not decompressor.eof:
-        raise ValueError("a chunk does not hold the bytes that it declares")
-    return records
-
-
-_DECOMPRESS: dict[bytes, Callable[[Buffer, int], Buffer]] = {
-    b"": lambda data, size: data[:size],
-    b"zstd": _from_zstd,
-    b"lz4": _from_lz4,
-}

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -93,10 +93,6 @@ class Messages:
     def _columns(self) -> tuple[Any, ...]:
         return self.channel, self.offset, self.size, self.log_time, self.publish_time
 
-    def payload(self, row: int) -> bytes:
-        """Return the bytes of one of the messages."""
-        return self.buffer[self.offset[row] :][: self.size[row]].tobytes()
-
     def payloads(self, rows: Integers) -> Bytes:
         """Return the bytes of some messages of the same size, shape (len(rows), size)."""
         size = int(self.size[rows[0]])
@@ -174,36 +170,21 @@ def messages_of(messages: Sequence[Message]) -> Messages:
 
 def concatenate(parts: Sequence[Messages]) -> Messages:
     """Return one block with all messages of the blocks, in the same order."""
-    channels = tuple(dict.fromkeys(channel for part in parts for channel in part.channels))
+    if len(parts) == 1:
+        return parts[0]
+    files = {id(part.channels): part.channels for part in parts}  # usually one file
+    channels = tuple(dict.fromkeys(channel for each in files.values() for channel in each))
     index = {channel: number for number, channel in enumerate(channels)}
-    shift = np.cumsum([0, *(len(part.buffer) for part in parts)])[:-1]
-    moved = []
-    for part, start in zip(parts, shift, strict=True):
-        numbers = np.array([index[channel] for channel in part.channels], np.int64)
-        moved.append(replace(part, channel=numbers[part.channel], offset=part.offset + start))
-    columns = zip(*(part._columns for part in moved), strict=True)
-    buffer = np.concatenate([part.buffer for part in parts])
-    return Messages(channels, buffer, *map(np.concatenate, columns))
-
-
-def merge(blocks: Iterable[tuple[int, Messages]]) -> Iterator[Messages]:
-    """Yield messages in order of log time from blocks that may overlap in time.
-
-    Only blocks that overlap are in memory at the same time.
-
-    Args:
-        blocks: pairs of time (ns since the epoch) and block, in order of time. No message in the block, or in the
-            following blocks, is earlier than this time.
-    """
-    pending: Messages | None = None
-    for start, block in blocks:
-        if pending is None:
-            pending = block.sorted()
-            continue
-        ready = int(np.searchsorted(pending.log_time, np.uint64(start)))
-        if ready:
-            yield pending.select(slice(ready))
-        rest = pending.select(slice(ready, None)).compact()
-        pending = concatenate([rest, block]).sorted() if len(rest) else block.sorted()
-    if pending is not None and len(pending):
-        yield pending
+    numbers = {
+        key: np.array([index[channel] for channel in each], np.int64) for key, each in files.items()
+    }
+    start = np.cumsum([0, *(len(part.buffer) for part in parts)])
+    return Messages(
+        channels,
+        np.concatenate([part.buffer for part in parts]),
+        np.concatenate([numbers[id(part.channels)][part.channel] for part in parts]),
+        np.concatenate([part.offset + at for part, at in zip(parts, start, strict=False)]),
+        np.concatenate([part.size for part in parts]),
+        np.concatenate([part.log_time for part in parts]),
+        np.concatenate([part.publish_time for part in parts]),
+    )

@@ -35,9 +35,8 @@ from worm_model.bags.formats.message_block import Topic
 
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
-REMEDY = "give the definitions of the recording by --definitions FOLDER, or source the workspace that has them"
+REMEDY = "source the workspace with the definitions of the time of the recording"
 REASON_LENGTH = 200  # shown characters of a parser's error, which repeats the definition
-_CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
 # texts and characters (first group), and comments
 _IDL_TEXT = re.compile(r"""(?s)("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])')|//[^\n]*|/\*.*?\*/""")
 _IDL_ANNOTATION = re.compile(r"@(?:::)?\w+(?:::\w+)*(?:\s*\((?:[^()]|\([^()]*\))*\))?")
@@ -54,27 +53,16 @@ Types = Mapping[str, Fields]
 # --- installed definitions ------------------------------------------------------------------------
 
 
-def _folders(package: str, definitions: Path | None = None) -> Iterator[Path]:
-    if package == PACKAGE and definitions is not None:
-        yield definitions
-        return  # no other sources: the layouts of two versions would mix
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield Path(prefix, "share", package, "msg")
+def _installed_text(package: str, kind: str) -> str:
+    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    folders = [Path(prefix, "share", package, "msg") for prefix in prefixes]
     if package == PACKAGE:
-        yield Path(__file__).resolve().parents[4] / PACKAGE / "msg"
-
-
-def _installed_text(package: str, kind: str, definitions: Path | None) -> str:
-    for folder in _folders(package, definitions):
+        folders.append(Path(__file__).resolve().parents[4] / PACKAGE / "msg")
+    for folder in folders:
         path = folder / f"{kind}.msg"
         if path.is_file():
             return path.read_text(encoding="utf-8")
     standard, name = _standard_types(), f"{package}/msg/{kind}"
-    if package == PACKAGE and definitions is not None:
-        raise DefinitionError(
-            f"{definitions} has no {kind}.msg, which contains the definition of {name}"
-        )
     if name not in standard.fielddefs:
         raise DefinitionError(
             f"no definition of {name} is installed; source the workspace that has it"
@@ -88,12 +76,11 @@ def _standard_types() -> Typestore:
 
 
 @lru_cache(maxsize=256)
-def installed_definition(type_name: str, definitions: Path | None = None) -> str:
+def installed_definition(type_name: str) -> str:
     """Return the ``ros2msg`` text of an installed type with all types that it needs.
 
     Args:
         type_name: ``package/msg/Type``.
-        definitions: folder with the ``.msg`` files of worm_msgs; None: the installed files.
 
     Raises:
         DefinitionError: The name is not the name of a message type, or a definition is missing.
@@ -108,9 +95,9 @@ def installed_definition(type_name: str, definitions: Path | None = None) -> str
         if name in texts:
             continue
         package, _, kind = name.partition("/msg/")
-        texts[name] = _installed_text(package, kind, definitions)
+        texts[name] = _installed_text(package, kind)
         with suppress(*_UNREADABLE):  # errors are reported by `parse_types`
-            (_, fields) = get_types_from_msg(without_comments(texts[name]), name)[name]
+            (_, fields) = get_types_from_msg(texts[name], name)[name]
             waiting += [needed for _, field in fields for needed in _named(field)]
     parts = [
         text if name == type_name else f"{SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}"
@@ -129,20 +116,17 @@ def _named(field: Any) -> Iterator[str]:
 
 
 @lru_cache(maxsize=256)
-def topic_of(
-    name: str, type_name: str, offered_qos: str = "", definitions: Path | None = None
-) -> Topic:
+def topic_of(name: str, type_name: str, offered_qos: str = "") -> Topic:
     """Return a topic for writing, with its type hash, and the definitions of its type and of all types that it needs.
 
     Args:
         name, type_name: full name of the topic and its type.
         offered_qos: quality of service of the publishers, YAML.
-        definitions: folder of definitions, see `installed_definition`.
 
     Raises:
         DefinitionError: The type is not installed.
     """
-    definition = installed_definition(type_name, definitions)
+    definition = installed_definition(type_name)
     metadata = (
         ("offered_qos_profiles", offered_qos),
         ("topic_type_hash", type_hash(type_name, definition, "ros2msg")),
@@ -174,7 +158,10 @@ def parse_types(type_name: str, definition: str, definition_format: str) -> Type
 def typestore(type_name: str, definition: str, definition_format: str) -> Typestore:
     """Return the types of a definition as a store of `rosbags`, which decodes and encodes messages."""
     try:
-        types = _parsed(type_name, definition, definition_format)
+        if definition_format == "ros2idl":
+            types = get_types_from_idl(_plain_idl(definition))
+        else:
+            types = get_types_from_msg(definition, type_name)
         for name in [type_name, *(n for _, fs in types.values() for _, f in fs for n in _named(f))]:
             if name not in types:
                 raise DefinitionError(f"the definition of {name} is missing")
@@ -186,15 +173,6 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
         reason = shorten(str(error), REASON_LENGTH, placeholder=" …")
         raise DefinitionError(f"the definition of {type_name} cannot be read: {reason}") from None
     return store
-
-
-def _parsed(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
-    if definition_format == "ros2idl":
-        return dict(get_types_from_idl(_plain_idl(definition)))
-    try:
-        return dict(get_types_from_msg(without_comments(definition), type_name))
-    except _UNREADABLE:
-        return dict(get_types_from_msg(definition, type_name))
 
 
 def _plain_idl(definition: str) -> str:
@@ -214,12 +192,6 @@ def _plain_idl(definition: str) -> str:
     return text
 
 
-def without_comments(definition: str) -> str:
-    """Return the lines of a definition that determine the layout, without comments and constants."""
-    lines = (line.split("#", 1)[0].strip() for line in definition.splitlines())
-    return "\n".join(line for line in lines if line and not _CONSTANT.match(line)) + "\n"
-
-
 def type_hash(type_name: str, definition: str, definition_format: str) -> str:
     """Return the RIHS01 hash of a type; empty if `rosbags` cannot compute it."""
     store = typestore(type_name, definition, definition_format)
@@ -229,28 +201,15 @@ def type_hash(type_name: str, definition: str, definition_format: str) -> str:
         return ""
 
 
-def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
-    """Return the topic with a definition: that of a folder, or its own, or the installed one.
-
-    Args:
-        topic: the topic.
-        definitions: folder with the ``.msg`` file of the topic's type; None: no such folder.
-    """
-    if topic.definition and definitions is None:
+def with_definition(topic: Topic) -> Topic:
+    """Return the topic with a definition: its own, or the installed one if the type hashes do not differ."""
+    if topic.definition:
         return topic
     if not topic.type_name:
         raise DefinitionError(f"{topic.name} has neither a type nor a definition")
-    found = topic_of(topic.name, topic.type_name, definitions=definitions)
+    found = topic_of(topic.name, topic.type_name, topic.offered_qos)
     if topic.type_hash not in ("", found.type_hash):
         raise DefinitionError(
-            f"the type hash of {topic.name} differs from that of the {topic.type_name} "
-            f"{'that is installed' if definitions is None else f'in {definitions}'}; {REMEDY}"
+            f"the type hash of {topic.name} differs from that of the installed {topic.type_name}; {REMEDY}"
         )
-    return replace(
-        topic,
-        definition=found.definition,
-        definition_format=found.definition_format,
-        metadata=tuple(
-            (dict(found.metadata) | {"offered_qos_profiles": topic.offered_qos}).items()
-        ),
-    )
+    return replace(found, count=topic.count)

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
@@ -17,8 +18,9 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import dump_yaml
+from worm_model.bags.formats.finding import check_readable
 from worm_model.bags.formats.message_block import Message, Messages, Topic, messages_of
-from worm_model.bags.formats.stored_file import Extent, StoredFile, opened, spans_of
+from worm_model.bags.formats.stored_file import Extent, StoredFile, spans_of
 
 TOGETHER = 1000  # number of messages of an extent
 _JOURNALS = ("-wal", "-journal")  # endings of files with messages of an unclosed database
@@ -33,17 +35,19 @@ class SqliteFile(StoredFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._stream = opened(path)
-        self._reader = Sqlite3Reader(Path(self._stream.name))
+        check_readable(path)
+        self._reader = Sqlite3Reader(path)
         with self._explained():
             self._reader.open()
             query = "SELECT timestamp FROM messages ORDER BY timestamp"
             times = np.array([row[0] for row in self._reader.dbconn.execute(query)], np.uint64)
         self.channels = {c.id: _topic(c) for c in self._reader.connections}
-        self.counts.update({c.id: c.msgcount for c in self._reader.connections})
         self.spans = spans_of(times)
-        for first, last in _ranges(times):
-            self.extents.append(Extent(first, last - 1, first, last))
+        # ranges of log time with about TOGETHER messages each
+        edges = np.unique(times[::TOGETHER]).tolist()
+        if edges:
+            edges.append(int(times[-1]) + 1)
+        self.extents = [Extent(first, last - 1, first, last) for first, last in pairwise(edges)]
         journals = [Path(f"{path}{ending}") for ending in _JOURNALS]
         if left := [file.name for file in journals if file.is_file() and file.stat().st_size]:
             self.damage = (
@@ -62,31 +66,21 @@ class SqliteFile(StoredFile):
                 f"{self.path} is damaged, or not an SQLite bag ({reason}); the command .recover of sqlite3 may save it"
             ) from None
 
-    def blocks(
-        self, extents: Iterable[Extent], topics: frozenset[str]
-    ) -> Iterator[tuple[int, Messages]]:
-        """Yield (start in ns, block) for the messages of some topics in some extents.
+    def messages(self, extent: Extent, topics: frozenset[str]) -> Messages:
+        """Return the messages of some topics in an extent.
 
         The publish time of a message is unknown and is set to the log time.
         """
         wanted = [c for c in self._reader.connections if c.topic in topics]
-        for extent in extents:
-            with self._explained():
-                block = messages_of(
-                    [
-                        Message(connection.topic, time, data, time, self.channels[connection.id])
-                        for connection, time, data in self._reader.messages(
-                            wanted, extent.first, extent.last
-                        )
-                    ]
-                )
-            if len(block):
-                yield extent.start, block
+        with self._explained():
+            rows = list(self._reader.messages(wanted, extent.first, extent.last))
+        return messages_of(
+            [Message(c.topic, time, data, time, self.channels[c.id]) for c, time, data in rows]
+        )
 
     def close(self) -> None:
         """Close the file."""
         self._reader.close()
-        self._stream.close()
 
 
 def _topic(connection: Connection) -> Topic:
@@ -100,16 +94,9 @@ def _topic(connection: Connection) -> Topic:
     return Topic(
         connection.topic,
         connection.msgtype,
-        0,
+        connection.msgcount,
         definition.data,
         _FORMATS.get(definition.format, ""),
         extension.serialization_format,
         metadata,
     )
-
-
-def _ranges(times: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Yield ranges of log time (ns, the last one exclusive) with about TOGETHER messages each."""
-    edges = np.unique(times[::TOGETHER]).tolist()
-    if edges:
-        yield from zip(edges, [*edges[1:], int(times[-1]) + 1], strict=True)

@@ -4,19 +4,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import NamedTemporaryFile
-from typing import BinaryIO, NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
-import zstandard
 
-from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.finding import COMPRESSED, check_readable
 from worm_model.bags.formats.message_block import Messages, Times, Topic
 
 # A longer time without a message is a gap: durations do not include it, and the player skips it.
@@ -63,8 +57,7 @@ class StoredFile(ABC):
         path: the file.
 
     Attributes:
-        channels: topics by channel number. Their field ``count`` is not set.
-        counts: number of messages by channel.
+        channels: topics by channel number.
         extents: parts of the file with messages.
         spans: first and last log time (ns) of each part without a gap, unsorted.
         metadata: metadata records, in the order of the file.
@@ -76,7 +69,6 @@ class StoredFile(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.channels: dict[int, Topic] = {}
-        self.counts: Counter[int] = Counter()
         self.extents: list[Extent] = []
         self.spans: list[Span] = []
         self.metadata: list[MetadataRecord] = []
@@ -85,13 +77,8 @@ class StoredFile(ABC):
         self.remarks: list[str] = []
 
     @abstractmethod
-    def blocks(
-        self, extents: Iterable[Extent], topics: frozenset[str]
-    ) -> Iterator[tuple[int, Messages]]:
-        """Yield (start in ns, block) for the messages of some topics in some extents.
-
-        ``extents`` are in order of start. No message of a block has a log time before the start of the block.
-        """
+    def messages(self, extent: Extent, topics: frozenset[str]) -> Messages:
+        """Return the messages of some topics in an extent, in the order of the file."""
 
     def close(self) -> None:  # noqa: B027 - a file in memory needs none
         """Close the file; arrays that were read from it stay valid."""
@@ -113,23 +100,3 @@ def joined_spans(spans: Iterable[Span]) -> Sequence[Span]:
         else:
             joined.append((start, end))
     return joined
-
-
-def opened(path: Path) -> BinaryIO:
-    """Return an open file. A file that rosbag2 has compressed is decompressed into a temporary one, up to damage.
-
-    Raises BagError if the file does not exist or cannot be opened.
-    """
-    check_readable(path)
-    try:
-        packed = path.open("rb")
-    except OSError as error:
-        raise BagError(f"{path} cannot be read: {error.strerror}") from None
-    if path.suffix != COMPRESSED:
-        return packed
-    unpacked = cast(BinaryIO, NamedTemporaryFile())  # noqa: SIM115 - the caller closes it
-    with packed, suppress(zstandard.ZstdError):
-        for piece in zstandard.ZstdDecompressor().read_to_iter(packed):
-            unpacked.write(piece)
-    unpacked.flush()
-    return unpacked

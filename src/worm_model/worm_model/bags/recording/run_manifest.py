@@ -30,7 +30,6 @@ from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 
 RUN_RECORD = "worm_run"
 HOST = "host"  # key of the computer's name
-GAIT_RECORD = "worm_gait"
 PARAMETER_ATTACHMENT = "parameters.yaml"
 VERSIONED = (
     "worm_driver",

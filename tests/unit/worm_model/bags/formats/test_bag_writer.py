@@ -15,9 +15,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from worm_model.bags.formats.bag_errors import ExistsError, UnwritableError
+from worm_model.bags.formats.bag_metadata import FOREVER, dump_yaml, qos_profile
 from worm_model.bags.formats.bag_writer import new_bag, new_folder
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.stored_file import LONGEST_GAP_NS, AttachedFile
@@ -25,7 +27,8 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.copies import recover
 
 TYPE = "std_msgs/msg/UInt64"
-METADATA = (("offered_qos_profiles", ""), ("topic_type_hash", "RIHS01_" + "0" * 64))
+QOS = qos_profile("keep_last", 1, "reliable", "transient_local", "automatic", FOREVER)
+METADATA = (("offered_qos_profiles", dump_yaml([QOS])), ("topic_type_hash", "RIHS01_" + "0" * 64))
 NAMES = ("/a", "/b", "/c")
 TOPICS = [Topic(n, TYPE, 0, "uint64 data\n", "ros2msg", "cdr", METADATA) for n in NAMES]
 ATTACHED = AttachedFile("parameters.yaml", "application/yaml", b"pitch: 0.0173\n")
@@ -90,6 +93,10 @@ def test_rosbags_reads_them(messages: list[Message]):
     ):
         found = [(c.topic, time, bytes(data)) for c, time, data in reader.messages()]
         assert reader.message_count == len(messages)
+        for connection in reader.connections:
+            (offered,) = connection.ext.offered_qos_profiles
+            assert offered.durability == QosDurability.TRANSIENT_LOCAL
+            assert offered.reliability == QosReliability.RELIABLE
     assert Counter(found) == Counter((m.topic, m.log_time, m.data) for m in messages)
 
 

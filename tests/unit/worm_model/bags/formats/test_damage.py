@@ -123,8 +123,7 @@ def test_a_file_that_is_cut_keeps_all_whole_chunks(tmp_path: Path, compression):
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
     file = McapFile(path)
-    blocks = ((e.last, *file.blocks([e], frozenset(TOPICS))) for e in file.extents)
-    counts = {last: len(block) for last, (_, block) in blocks}
+    counts = {e.last: len(file.messages(e, frozenset(TOPICS))) for e in file.extents}
     for cut in range(len(MAGIC), len(data), 13):
         path.write_bytes(data[:cut])
         found, reported = read(path)
@@ -171,17 +170,6 @@ def test_no_edits_cause_a_traceback(name: str, edits, chunked: bool):
         path = Path(folder, name)
         path.write_bytes(data)
         read(path)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.binary(max_size=200))
-def test_random_bytes_hold_no_message(data: bytes):
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "a.mcap")
-        path.write_bytes(MAGIC + data)
-        found, reported = read(path)
-    assert not found
-    assert reported
 
 
 # --- what is reported ---------------------------------------------------------------------------------
@@ -247,24 +235,19 @@ def test_bytes_after_the_end_are_reported(tmp_path: Path):
     assert any(f"{len(mcap_bytes())} bytes after its end" in line for line in reported)
 
 
-@pytest.mark.parametrize("declared", [True, False])
 @pytest.mark.parametrize("compression", [LZ4, ZSTD])
-def test_a_chunk_of_too_many_bytes_is_skipped(tmp_path, monkeypatch, compression, declared):
-    data = bytearray(mcap_bytes(compression))
-    sizes = {
-        first: struct.unpack_from("<Q", data, first + 25)[0]
-        for opcode, first, _ in records(data)
-        if opcode == 6
-    }
-    largest = max(sizes, key=lambda first: sizes[first])
-    monkeypatch.setattr(mcap_file, "LARGEST_CHUNK", sizes[largest] - 1)
-    if not declared:
-        for first in sizes:
-            struct.pack_into("<Q", data, first + 25, 1)
+def test_a_chunk_that_declares_too_many_bytes_is_skipped(tmp_path, monkeypatch, compression):
+    data = mcap_bytes(compression)
+    sizes = [
+        struct.unpack_from("<Q", data, first + 25)[0]
+        for kind, first, _ in records(data)
+        if kind == 6
+    ]
+    monkeypatch.setattr(mcap_file, "LARGEST_CHUNK", max(sizes) - 1)
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
     found, reported = read(path)
-    assert found < independent(mcap_bytes(compression))
+    assert found < independent(data)
     assert reported
 
 

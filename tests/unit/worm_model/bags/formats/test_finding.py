@@ -3,10 +3,7 @@
 
 from pathlib import Path
 
-import pytest
-
 from worm_model.bags.formats.finding import bags_below
-from worm_model.errors import InputError
 
 
 def made(folder: Path, *names: str) -> None:
@@ -23,10 +20,3 @@ def test_a_folder_a_killed_recorders_folder_and_a_file_are_bags(tmp_path: Path):
     assert bags_below(tmp_path) == [tmp_path / name for name in names]
     for bag in ("a/closed", "loose/one.mcap"):
         assert bags_below(tmp_path / bag) == [tmp_path / bag]
-
-
-def test_nothing_is_no_folder_of_bags(tmp_path: Path):
-    with pytest.raises(InputError, match="holds no bag"):
-        bags_below(tmp_path)
-    with pytest.raises(InputError, match="does not exist"):
-        bags_below(tmp_path / "none")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 from recorded_run import simulated_run, write_bag
 
 from worm_model.bags.formats.bag_errors import BagError
@@ -39,23 +38,9 @@ def recorded(whole: Path) -> list[Message]:
         return list(bag.messages())
 
 
-def by_mcap(path: Path, messages: Iterable[Message]) -> Path:
-    """Write messages of any type with the library of MCAP; a type without a name gets no schema."""
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        numbers: dict[Topic, int] = {}
-        for message in messages:
-            topic = message.channel
-            if topic not in numbers:
-                schema = 0
-                if topic.type_name:
-                    schema = writer.register_schema(
-                        topic.type_name, "ros2msg", topic.definition.encode()
-                    )
-                numbers[topic] = writer.register_channel(topic.name, topic.encoding, schema)
-            writer.add_message(numbers[topic], message.log_time, message.data, message.publish_time)
-        writer.finish()
+def written(path: Path, messages: Iterable[Message]) -> Path:
+    with new_bag(path) as writer:
+        writer.write_all(messages)
     return path
 
 
@@ -85,7 +70,7 @@ def reports_of(path: Path) -> list[str]:
 
 
 def test_nothing_is_reported_about_a_valid_bag(tmp_path: Path, recorded: list[Message]):
-    assert reports_of(by_mcap(tmp_path / "a.mcap", recorded)) == []
+    assert reports_of(written(tmp_path / "a", recorded)) == []
 
 
 @pytest.mark.parametrize(
@@ -106,14 +91,14 @@ def test_unexpected_topics_are_reported(
     tmp_path: Path, recorded: list[Message], change: Change, expected: str
 ):
     assert any(
-        expected in line for line in reports_of(by_mcap(tmp_path / "a.mcap", map(change, recorded)))
+        expected in line for line in reports_of(written(tmp_path / "a", map(change, recorded)))
     )
 
 
 def test_stamps_that_go_back_are_reported(tmp_path: Path, recorded: list[Message]):
-    merged = by_mcap(tmp_path / "a.mcap", [*recorded, *(later(m, 1000, -1000) for m in recorded)])
+    merged = written(tmp_path / "a", [*recorded, *(later(m, 1000, -1000) for m in recorded)])
     assert any(f"1 stamps of {POWER} go back" in line for line in reports_of(merged))
-    in_order = by_mcap(tmp_path / "b.mcap", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
+    in_order = written(tmp_path / "b", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
     assert reports_of(in_order) == []
 
 
@@ -173,7 +158,7 @@ def test_a_definition_that_contains_itself_is_rejected(
 ):
     channel = Topic("/w", "x/msg/W", 0, "x/W data\n", "ros2msg", "cdr")
     message = recorded[0]._replace(channel=channel, data=b"\0\1\0\0" + bytes(8))
-    bag = by_mcap(tmp_path / "a.mcap", [*recorded, message])
+    bag = written(tmp_path / "a", [*recorded, message])
     monkeypatch.setattr("sys.argv", ["export", str(bag), "--output", str(tmp_path / "out")])
     assert export.main() == 1
     assert "/w is left out: /w: its definition contains itself" in capsys.readouterr().err
@@ -185,10 +170,10 @@ def test_any_name_of_a_topic_becomes_that_of_a_file(
 ):
     channel = Topic(name, "std_msgs/msg/UInt8", 0, "uint8 data\n", "ros2msg", "cdr")
     message = recorded[0]._replace(channel=channel, data=b"\0\1\0\0\5")
-    bag = by_mcap(tmp_path / "a.mcap", [*recorded, message])
+    bag = written(tmp_path / "a", [*recorded, message])
     monkeypatch.setattr("sys.argv", ["export", str(bag), "--output", str(tmp_path / "out")])
     assert export.main() == 0
-    assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "out"}
+    assert {p.name for p in tmp_path.iterdir()} == {"a", "out"}
     tables = {p.name: p.read_text().splitlines() for p in (tmp_path / "out").iterdir()}
     tables.pop("run.csv")  # of the robot's topics
     assert len(tables) == 6

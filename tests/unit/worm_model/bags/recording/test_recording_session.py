@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests to a recorder while it runs."""
 
+import errno
 import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from worm_model.bags.formats.bag_errors import BagError, ExistsError
 from worm_model.bags.formats.finding import dated
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
-from worm_model.bags.recording.recorder import Manifest
-from worm_model.bags.recording.recording_session import BACKLOG_BYTES, RecordingSession, after_crash
+from worm_model.bags.recording import recorder
+from worm_model.bags.recording.recorder import BagRecorder, Manifest
+from worm_model.bags.recording.recording_session import RING_BYTES, RecordingSession, after_crash
 
 TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
 LATCHED = Topic(
@@ -42,15 +45,44 @@ def seconds(bag: Path) -> list[int]:
         return [m.log_time // SECOND for m in opened.messages()]
 
 
-def test_topics_of_which_nothing_came_are_kept(tmp_path: Path):
+def state(bag: Path) -> str:
+    content = yaml.safe_load((bag / "metadata.yaml").read_text())
+    return content["rosbag2_bagfile_information"]["custom_data"]["state"]
+
+
+def test_a_bag_holds_messages_and_topics_of_which_nothing_came(tmp_path: Path):
     """A topic without messages differs from a topic without a subscription."""
     recording = session(tmp_path / "bag")
     recording.add_topics([TOPIC, LATCHED])
-    recording.offer([message(1)])
+    recording.offer([message(1), message(2)])
+    recording.offer([])
     recording.add_topics([TOPIC, LATCHED])
+    assert state(tmp_path / "bag") == "being recorded"  # metadata.yaml exists from the start
     recording.close()
+    assert state(tmp_path / "bag") == "closed"
+    assert (recording.messages, recording.bytes, recording.error) == (2, 24, None)
+    assert seconds(tmp_path / "bag") == [1, 2]
     with open_bag(tmp_path / "bag") as bag:
-        assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 1, "/state": 0}
+        assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 2, "/state": 0}
+
+
+def test_a_full_disk_ends_the_recording_and_what_was_synchronised_stays(
+    tmp_path: Path, monkeypatch
+):
+    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
+    recording = session(tmp_path / "bag")
+    recording.offer([message(1), message(2)])
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(BagRecorder, "write", full)
+    recording.offer([message(3)])
+    recording.offer([message(4)])
+    recording.close()
+    assert recording.error.errno == errno.ENOSPC
+    with open_bag(tmp_path / "bag", lambda _: None) as bag:
+        assert [m.log_time // SECOND for m in bag.messages()] == [1, 2]
 
 
 def test_impossible_requests_are_rejected(tmp_path: Path):
@@ -69,7 +101,6 @@ def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
     recording.offer([message(1, LATCHED), message(2, LATCHED)])
     for value in range(3, 20):
         recording.offer([message(value)])
-    recording.note("worm_gait", {"stroke": "0.07"})
     assert "bag_snapshot_1" in recording.snapshot()
     recording.offer([message(20)])
     recording.snapshot()
@@ -77,8 +108,6 @@ def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
     assert [bag.name for bag in recording.bags] == ["bag_snapshot_1", "bag_snapshot_2"]
     assert [seconds(bag) for bag in recording.bags] == [[2, *range(14, 20)], [2, 20]]
     assert not (tmp_path / "bag").exists()
-    with open_bag(recording.bags[1]) as bag:
-        assert bag.metadata["worm_gait"] == {"stroke": "0.07"}
 
 
 def test_a_snapshot_that_cannot_be_written_keeps_its_messages(tmp_path: Path):
@@ -94,7 +123,7 @@ def test_a_snapshot_that_cannot_be_written_keeps_its_messages(tmp_path: Path):
 
 def test_a_ring_does_not_outgrow_the_memory(tmp_path: Path):
     recording = session(tmp_path / "bag", ring_s=1000.0)
-    size = BACKLOG_BYTES // 4
+    size = RING_BYTES // 4
     for value in range(8):
         recording.offer([message(value, size=size)])
     recording.snapshot()
