@@ -52,7 +52,6 @@ BAD = [
     (SIMULATE, f"{GAIT} --output x.gif --cycles 100", "6250 frames"),
     (IDENTIFY, "nowhere", "nowhere does not exist"),
     (IDENTIFY, ".", "is not a bag"),
-    (IDENTIFY, "bag --seed -1", "must not be negative"),
     (IDENTIFY, "bag --output no/such/folder.yaml", "does not exist"),
     (IDENTIFY, "bag --parameters none.yaml", "none.yaml"),
     (EXPORT, "bag --output bag", "bag: exists"),

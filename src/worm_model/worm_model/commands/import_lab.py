@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from worm_model.commands import command_line
-from worm_model.parameters import Parameters, load_parameters
 from worm_msgs.gait import Gait
 
 if TYPE_CHECKING:  # Numba loads slowly
@@ -61,7 +60,14 @@ def _parser() -> command_line.Parser:
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="the run's folder")
     parser.add_argument("--output", required=True, metavar="BAG", help="new bag; must not exist")
-    parser.add_transmission()
+    parser.add_number(
+        "--onset", "S", "start of the gait in s of the logs; default: from the servo's log"
+    )
+    parser.add_number(
+        "--spool-radius",
+        "M",
+        "spool radius of the cable servo in m; default: computed from the servo's goals and the stroke",
+    )
     parser.add_number(
         "--initial-length",
         "M",
@@ -78,14 +84,12 @@ def _parser() -> command_line.Parser:
         "--namespace", default="/worm", help="namespace of the topics (default /worm)"
     )
     parser.add_json()
-    parser.add_parameters()
     return parser
 
 
 def _run(options: argparse.Namespace) -> None:
     from worm_model.identification.data.lab_logs import LabSettings
 
-    parameters = load_parameters(options.parameters) if options.parameters else Parameters()
     if options.spool_radius is not None:
         _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)
     if options.initial_length is not None:
@@ -95,7 +99,6 @@ def _run(options: argparse.Namespace) -> None:
         onset=options.onset,
         spool_radius=options.spool_radius,
         initial_length=options.initial_length,
-        fallback_length=parameters.initial_length,
     )
     output = command_line.new_file(options.output)
     lab = import_lab(options.folder, output, settings, options.namespace)

@@ -8,7 +8,7 @@ Statistical Quality Control (chapters on Shewhart charts and on individual measu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -70,17 +70,6 @@ class Limits:
         """Centre of the interval of the parameter."""
         return 0.5 * (self.middle_low + self.middle_high)
 
-    @property
-    def mirrored(self) -> Limits:
-        """Limits that apply to the negated values."""
-        return replace(
-            self,
-            low=-self.high,
-            middle_low=-self.middle_high,
-            middle_high=-self.middle_low,
-            high=-self.low,
-        )
-
 
 @dataclass(frozen=True)
 class Signal:
@@ -132,10 +121,12 @@ class Chart:
         the latest ``direction`` count, back to the first one before which a bag without a violation lies.
         """
         moved = [signal for signal in self.signals if signal.direction == self.direction]
-        began: int | None = None
+        if not moved:
+            return None
+        began = max(moved, key=lambda signal: signal.last).first
         for signal in sorted(moved, key=lambda signal: -signal.last):
-            if began is None or signal.last >= began - 1:
-                began = signal.first if began is None else min(began, signal.first)
+            if signal.last >= began - 1:
+                began = min(began, signal.first)
         return began
 
     @property
@@ -154,22 +145,15 @@ def chart_of(key: str, estimates: Sequence[Estimate], known: ParameterFile) -> C
 
     The limits come from the parameter file if it has an interval for the key, else from the bags.
     """
-    rows = [(e.value, e.low, e.high) if e.identifiable else (np.nan,) * 3 for e in estimates]
-    value, low, high = np.array(rows, dtype=float).reshape(-1, 3).T
-    resolution = _resolution(0.5 * (high - low))
-    limits: Limits | None
+    value = np.array([e.value if e.identifiable else np.nan for e in estimates])
+    spreads = np.array([e.spread for e in estimates])
+    known_spreads = spreads[np.isfinite(spreads)]
+    resolution = float(np.median(known_spreads)) if known_spreads.size else 0.0
     if key in known.intervals:
-        limits = limits_of_file(known.intervals[key], resolution)
+        limits: Limits | None = limits_of_file(known.intervals[key], resolution)
     else:
         limits = limits_of_bags(value, resolution)
-    signals = () if limits is None else find_signals(value, limits)
-    return Chart(key, value, limits, signals)
-
-
-def _resolution(half: Array) -> float:
-    """Return the median half-width of the bags' 95 % intervals; 0 if none is finite."""
-    ends = half[np.isfinite(half)]
-    return float(np.median(ends)) if ends.size else 0.0
+    return Chart(key, value, limits, () if limits is None else find_signals(value, limits))
 
 
 def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
@@ -211,29 +195,26 @@ def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
     change of a series on one side is the distance of its mean from the parameter's interval.
     """
     index = np.flatnonzero(np.isfinite(value))
-    known = value[index]
+    known, resolution = value[index], limits.resolution
     signals = []
     for direction in (1, -1):
-        broken = _broken(direction * known, limits if direction > 0 else limits.mirrored)
-        signals += [Signal(rule, int(index[a]), int(index[b]), direction) for rule, a, b in broken]
+        up = direction * known
+        middle, limit = limits.middle_high, limits.high
+        if direction < 0:
+            middle, limit = -limits.middle_low, -limits.low
+        rows = [(Rule.LIMIT, a, b) for a, b in _stretches(up > limit, 1)]
+        rows += [
+            (Rule.MONOTONE, a, b + 1)
+            for a, b in _stretches(np.diff(up) > 0.0, MONOTONE - 1)
+            if up[b + 1] - up[a] > np.sqrt(2.0) * resolution
+        ]
+        rows += [
+            (Rule.ONE_SIDE, a, b)
+            for a, b in _stretches(up > middle, ONE_SIDE)
+            if (up[a : b + 1] - middle).mean() > resolution / np.sqrt(b + 1 - a)
+        ]
+        signals += [Signal(rule, int(index[a]), int(index[b]), direction) for rule, a, b in rows]
     return tuple(sorted(signals, key=lambda signal: (signal.first, signal.last)))
-
-
-def _broken(value: Array, limits: Limits) -> list[tuple[Rule, int, int]]:
-    """Return (rule, first, last) of each upward violation; ``first`` and ``last`` are indices of ``value``."""
-    monotone = [
-        (Rule.MONOTONE, a, b + 1)
-        for a, b in _stretches(np.diff(value) > 0.0, MONOTONE - 1)
-        if value[b + 1] - value[a] > np.sqrt(2.0) * limits.resolution
-    ]
-    beyond = [(Rule.LIMIT, a, b) for a, b in _stretches(value > limits.high, 1)]
-    above = value - limits.middle_high
-    one_side = [
-        (Rule.ONE_SIDE, a, b)
-        for a, b in _stretches(above > 0.0, ONE_SIDE)
-        if above[a : b + 1].mean() > limits.resolution / np.sqrt(b + 1 - a)
-    ]
-    return monotone + beyond + one_side
 
 
 def _stretches(broken: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:

@@ -19,7 +19,7 @@ from worm_model.identification.fit_verdict import fit_contractions
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import follows_command, usable
 from worm_model.identification.held_out import compared_margin, recorded_margin
-from worm_model.identification.run_selection import prepared
+from worm_model.identification.run_selection import fitted_runs
 from worm_model.margin.half_cycles import Fin
 from worm_model.parameters import PAPER, load_parameter_file
 
@@ -52,7 +52,7 @@ def test_the_margin_of_a_recording_is_that_of_its_run(runs, recordings):
 
 
 def test_the_margin_for_the_travel_error_is_that_of_the_worst_cycle_of_a_run(recordings):
-    for run in prepared(recordings, ROBOT.pitch)[0]:
+    for run in fitted_runs(recordings, ROBOT.pitch)[0]:
         margin = recorded_margin(run.recording, PAPER)
         cycles = np.concatenate([margin.margins(fin)[0] for fin in Fin])
         assert compared_margin(run, PAPER)[0] == cycles.min()

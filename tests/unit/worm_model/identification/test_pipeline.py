@@ -25,7 +25,6 @@ from worm_model.identification.report.identification_report import (
     summary,
     text_of,
 )
-from worm_model.identification.run_selection import prepared_validation
 from worm_model.identification.stages import FIN, identify
 
 IDENTIFIED = [key for key in parameters.KEYS if key not in MEASURED or key == "pitch"]
@@ -44,7 +43,7 @@ def campaigns():
 
 @pytest.fixture(scope="module")
 def results(campaigns):
-    return [identify(c.inputs, c.reference, seed) for seed, c in enumerate(campaigns)]
+    return [identify(c.inputs, c.reference) for c in campaigns]
 
 
 def test_the_intervals_cover_the_truth(campaigns, results):
@@ -111,7 +110,7 @@ def test_the_verdict_follows_from_the_facts(results):
 def test_an_unusable_bench_test_is_named_and_all_others_are_identified(campaigns):
     campaign = campaigns[0]
     bellows = replace(campaign.inputs.bellows, y=-campaign.inputs.bellows.y)
-    result = identify(replace(campaign.inputs, bellows=bellows), campaign.reference, 0)
+    result = identify(replace(campaign.inputs, bellows=bellows), campaign.reference)
     assert any("bellows test" in warning for warning in result.warnings)
     unknown = {key for key, estimate in result.estimates.items() if not estimate.identifiable}
     assert unknown == {"bellows_stiffness", "bellows_damping", "power_factor"}
@@ -121,7 +120,7 @@ def test_a_failed_stage_leaves_the_file_and_the_report(campaigns, monkeypatch):
     """The anchors switch endlessly, say: the given values replace η and p_sw."""
     campaign = campaigns[0]
     monkeypatch.setattr(locomotion, "is_lost", lambda _: True)
-    result = identify(campaign.inputs, campaign.reference, 0)
+    result = identify(campaign.inputs, campaign.reference)
     assert result.fit.verdict is Verdict.DOES_NOT_FIT
     unknown = {key for key, estimate in result.estimates.items() if not estimate.identifiable}
     assert unknown >= {"viscous_friction", "switching_threshold", "bellows_damping"}
@@ -199,11 +198,8 @@ def test_a_cable_that_cannot_push_is_identified_as_such_and_reported(tmp_path):
     parameters.write_parameter_file(path, parameter_file(result, inputs))
     assert parameters.load_parameters(path) == result.parameters
     without = replace(inputs, recordings=recordings[::2], bellows=None)
-    papers = identify(without, given)
-    assert any("--one-sided-cable" in warning for warning in papers.warnings)
-    assert not papers.parameters.one_sided_cable
-    assert papers.parameters.bellows_damping == parameters.PAPER.bellows_damping
-    assert papers.estimates["viscous_friction"].identifiable
+    with pytest.raises(IdentificationError, match="omit --one-sided-cable"):
+        identify(without, given)
     again = identify(without, reference_by_file(parameters.ParameterFile(truth), "it"))
     assert again.parameters.one_sided_cable
     assert again.parameters.bellows_damping == 950.0
@@ -213,7 +209,7 @@ def test_a_cable_that_cannot_push_is_identified_as_such_and_reported(tmp_path):
 def test_without_bench_tests_nothing_is_claimed_that_depends_on_them(campaigns):
     campaign = campaigns[0]
     blind = replace(campaign.inputs, bellows=None, fin=None)
-    result = identify(blind, campaign.reference, 0)
+    result = identify(blind, campaign.reference)
     unknown = {key for key, estimate in result.estimates.items() if not estimate.identifiable}
     bench = {"bellows_stiffness", "clearance", "engaged_stiffness", "disengaged_stiffness"}
     conditional = {
@@ -243,15 +239,16 @@ def test_a_run_whose_power_ends_early_is_left_out_of_the_energy_alone(campaigns)
         campaign.inputs,
         recordings=(without_power_after(spoilt, 0.0), *campaign.inputs.recordings[1:]),
     )
-    result = identify(inputs, campaign.reference, 0)
+    result = identify(inputs, campaign.reference)
     (warning,) = [text for text in result.warnings if "c_b and α_P" in text]
     assert warning.startswith(f"{spoilt.name}: ")
-    assert [run.name for run in result.power_runs] == [r.name for r in inputs.recordings[1:]]
+    assert [run.recording.name for run in result.energy.runs] == [
+        r.name for r in inputs.recordings[1:]
+    ]
     assert len(result.runs) == len(inputs.recordings)
     assert np.isnan(result.held_out[spoilt.name].energy_error)
     assert np.isfinite(result.held_out[spoilt.name].x1_rmse)
     assert covers(result, "bellows_damping", campaign.truth)
-    assert np.isnan(summary(result)["clock_offsets"][spoilt.name]["power_behind_camera"])
     assert "unknown" in text_of(result, advise(result), [])
 
 
@@ -262,7 +259,7 @@ def test_without_any_power_all_else_is_identified(campaigns):
         without_power_after(recording, -np.inf) for recording in campaign.inputs.recordings
     )
     inputs = replace(campaign.inputs, recordings=blind)
-    result = identify(inputs, campaign.reference, 0)
+    result = identify(inputs, campaign.reference)
     unknown = {key for key, estimate in result.estimates.items() if not estimate.identifiable}
     assert unknown == {"idle_power", "bellows_damping", "power_factor"}
     given = campaign.reference.parameters
@@ -273,7 +270,6 @@ def test_without_any_power_all_else_is_identified(campaigns):
     assert "five ridges" in notes["power_factor"]
     assert "unknown" in text_of(result, advise(result), [])
     assert set(parameter_file(result, inputs).intervals).isdisjoint(unknown)
-    assert np.isnan(summary(result)["clock_offsets"]["run_1"]["power_behind_camera"])
 
 
 @pytest.mark.night
@@ -286,7 +282,7 @@ def test_a_fin_that_is_given_as_exact_is_used_as_exact(campaigns):
         parameters=campaign.reference.parameters.replace(**fins),
         intervals=exact,
     )
-    result = identify(replace(campaign.inputs, fin=None), given, 0)
+    result = identify(replace(campaign.inputs, fin=None), given)
     assert result.locomotion.variants == ()
     assert result.estimates["viscous_friction"].identifiable
     assert covers(result, "viscous_friction", campaign.truth)
@@ -317,18 +313,3 @@ def test_a_slack_of_nothing_and_no_gait_that_goes_far_stop_no_advice(results, mo
     monkeypatch.setattr("worm_model.identification.report.advice.recorded", lambda *_: None)
     advice = advise(replace(result, estimates={**result.estimates, "viscous_friction": wide}))
     assert "5 ridges" in advice
-
-
-def test_validation_runs_are_checked_like_the_fitted_ones(campaigns):
-    fitted = campaigns[0].inputs.recordings
-    kept = [replace(fitted[1], name="kept"), replace(fitted[2], name="aside")]
-    spoilt = replace(kept[0], x1=np.where(kept[0].camera_time > 4.0, np.nan, kept[0].x1))
-    runs, seen = prepared_validation([spoilt, kept[1]], fitted[:1], parameters.PAPER.pitch)
-    assert [run.name for run in runs] == ["kept", "aside"]
-    assert any(text.startswith("validation: kept: ") and "hidden" in text for text in seen)
-    with pytest.raises(IdentificationError, match="two validation runs are called kept"):
-        prepared_validation([kept[0], kept[0]], fitted[:1], parameters.PAPER.pitch)
-    same = replace(fitted[0], sources={"camera.csv": "a" * 64})
-    with pytest.raises(IdentificationError, match="run_1"):
-        prepared_validation([replace(same, name="copy")], [same], parameters.PAPER.pitch)
-    assert prepared_validation([], fitted, parameters.PAPER.pitch) == ([], [])

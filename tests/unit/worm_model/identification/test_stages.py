@@ -159,15 +159,15 @@ def fitted(monkeypatch):
 @pytest.mark.parametrize("gain", [2.0, 30.0])
 def test_a_better_fit_is_better_by_the_scale_of_the_residuals(fitted, monkeypatch, gain):
     """Where residuals are 20 times those of the camera, a cost that is lower by 2 is no other fit."""
-    runs, fit = fitted
+    _, fit = fitted
 
-    def held(_runs, _known, present, entry, value):
+    def held(present, entry, value):
         off = (value - present.means[entry]) / locomotion_stage.FIRST_REACH[entry]
         return replace(present.solution, cost=present.solution.cost - gain + off**2)
 
     monkeypatch.setattr(locomotion_stage, "held", held)
     monkeypatch.setattr(locomotion_stage, "solve", lambda _problem, shared, own: fit.solution)
-    intervals, better = locomotion_stage._profiles(runs, KNOWN, fit, 20.0)
+    intervals, better = locomotion_stage._profiles(fit, 20.0)
     assert (better is None) == (gain < 20.0 * locomotion_stage.BETTER)
     assert len(intervals) == (3 if better is None else 0)
 
@@ -208,7 +208,7 @@ def test_the_intervals_cover_the_dry_friction_of_the_simulator():
     runs = traverses(truth, [Gait(0.07, 0.3), *GAITS], camera_noise=2e-4)
     result = locomotion_stage.identify_locomotion(runs, KNOWN)
     assert result.viscous_friction.low < truth.viscous_friction < result.viscous_friction.high
-    for estimate in result.dry_friction:
+    for estimate in (result.rear_dry_friction, result.front_dry_friction):
         assert estimate.low < 0.3 < estimate.high
         assert estimate.spread < 0.1
 
@@ -259,7 +259,7 @@ def energy_of(gaits, seed=0):
     def forces(_):
         return [run.static_force for run in runs]
 
-    return identify_energy(runs, [g.frequency for g in gaits], forces, PAPER, random)
+    return identify_energy(runs, forces, PAPER, random)
 
 
 def test_damping_and_power_factor_are_found_from_several_frequencies():
@@ -293,7 +293,7 @@ def test_a_wrong_idle_power_does_not_pass_for_a_clock_offset():
         for run, error in zip(power_runs(gaits, random, 0.0), off, strict=True)
     ]
     forces = [run.static_force for run in runs]
-    result = identify_energy(runs, [g.frequency for g in gaits], lambda _: forces, PAPER, random)
+    result = identify_energy(runs, lambda _: forces, PAPER, random)
     known = np.isfinite(result.clock_deviation)
     assert known.any()
     assert not known.all()  # the slowest run's ramp is longest

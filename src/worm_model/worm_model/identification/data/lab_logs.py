@@ -73,15 +73,13 @@ class LabSettings:
         spool_radius: spool radius of the cable servo, m; None: estimated from the servo's goals and the gait's
             stroke; if they do not suffice, `USUAL_SPOOL`.
         initial_length: L0, m; None: median of the camera's lengths before the onset, minus the length change that the
-            pretension causes on the paper's robot; without such lengths, `fallback_length`.
-        fallback_length: L0 if no camera measured the body at rest, m.
+            pretension causes on the paper's robot; without such lengths, the paper's L0.
     """
 
     epoch: int | None = None
     onset: float | None = None
     spool_radius: float | None = None
     initial_length: float | None = None
-    fallback_length: float = 0.2952
 
 
 @dataclass(frozen=True)
@@ -353,7 +351,7 @@ def _initial_length(
         if len(known):
             tensioned = 0.0 if gait is None else resting_change(gait, PAPER)
             return float(np.median(known)) - tensioned
-    return settings.fallback_length
+    return PAPER.initial_length
 
 
 def _commanded(table: Table, initial_length: float, clock: _Clock, radius: float) -> LengthSamples:

@@ -16,6 +16,7 @@ from worm_model.arrays import Array
 from worm_model.identification.fits.estimate import Estimate, quantile
 
 REFITS = 120  # number of refits of a bootstrap
+SEED = 0  # of a bootstrap, so that equal data result in equal intervals
 
 
 def unit_weights(random: np.random.Generator, units: int) -> Array:

@@ -57,7 +57,7 @@ def test_the_initial_length_is_what_the_camera_saw_at_rest(folder: Path):
     given = LabSettings(epoch=EPOCH, initial_length=0.3)
     assert read_lab_run(folder, given).initial_length == 0.3
     (folder / "camera.csv").unlink()
-    assert read_lab_run(folder, SETTINGS).initial_length == SETTINGS.fallback_length
+    assert read_lab_run(folder, SETTINGS).initial_length == PAPER.initial_length
 
 
 def test_missing_markers_and_readings_stay_missing(folder: Path):
