@@ -32,7 +32,6 @@ def _parser() -> Parser:
         "bag alone, and report which of them drift over the bags, since when, and what to check.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
-    parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -45,9 +44,7 @@ def _health(options: argparse.Namespace) -> None:
         if not path.exists():
             raise InputError(f"{path}: does not exist")
     known = load_parameter_file(options.parameters)
-    bags, left_out = estimate_bags(
-        options.bags, known.parameters, ProgressLine("health"), options.definitions
-    )
+    bags, left_out = estimate_bags(options.bags, known.parameters, ProgressLine("health"))
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(

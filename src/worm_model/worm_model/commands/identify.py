@@ -49,7 +49,6 @@ def _parser() -> Parser:
         help="fit the power model of a cable that cannot push, and store this choice in the parameter file; default: "
         "the power model of --parameters, else the paper's",
     )
-    parser.add_definitions()
     parser.add_json()
     parser.add_parameters("README.md of a lab's folder, else the paper's values")
     return parser
@@ -112,7 +111,7 @@ def _run(options: argparse.Namespace) -> None:
     output = new_file(options.output) if options.output else None
     report = new_file(options.report) if options.report else None
     reporter = StageProgress()
-    inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions)
+    inputs = read_inputs(options.runs, options.bellows, options.fin)
     result = identify(inputs, _reference(options, inputs), reporter)
     advice = advise(result)
     if output is not None:

@@ -42,7 +42,7 @@ def _manifest(folder: Path, lab: LabRun) -> dict[str, str]:
     return {
         "imported_from": folder.resolve().name,
         "initial_length": repr(lab.initial_length),
-        "spool_radius": repr(lab.transmission.spool_radius),
+        "spool_radius": repr(lab.spool_radius),
         **{f"sha256.{name}": checksum for name, checksum in lab.checksums.items()},
     }
 
@@ -102,7 +102,7 @@ def _run(options: argparse.Namespace) -> None:
     )
     output = command_line.new_file(options.output)
     lab = import_lab(options.folder, output, settings, options.namespace)
-    for remark in lab.transmission.remarks:
+    for remark in lab.remarks:
         _notify(remark)
     positions = [lab.run.tracker.rear_position, lab.run.tracker.front_position]
     counts = {

@@ -57,7 +57,6 @@ def estimate_bags(
     paths: Sequence[Path],
     parameters: Parameters,
     progress: Callable[[float], None] = lambda _done: None,
-    definitions: Path | None = None,
 ) -> tuple[list[BagEstimates], list[ExcludedBag]]:
     """Estimate, from the first run in each bag, the parameters that may drift.
 
@@ -65,7 +64,6 @@ def estimate_bags(
         paths: the bags; one that is listed twice counts once.
         parameters: values of all other parameters.
         progress: called with the completed share, 0 to 1.
-        definitions: message definitions, as for `open_bag`.
 
     Returns:
         The estimates, ordered by start, and the excluded bags.
@@ -75,7 +73,7 @@ def estimate_bags(
     for done, path in enumerate(dict.fromkeys(path.resolve() for path in paths)):
         progress(done / len(paths))
         try:
-            bags.append(estimate_bag(read_bag(path, definitions)[0], parameters))
+            bags.append(estimate_bag(read_bag(path)[0], parameters))
         except ParameterError:
             raise
         except (ValueError, SimulationError) as error:  # must not prevent the use of the other bags

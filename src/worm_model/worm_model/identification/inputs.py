@@ -60,7 +60,6 @@ def read_inputs(
     paths: Sequence[Path],
     bellows_file: Path | None = None,
     fin_file: Path | None = None,
-    definitions: Path | None = None,
 ) -> Inputs:
     """Read bags and folders or runs of a lab.
 
@@ -69,13 +68,12 @@ def read_inputs(
     Args:
         paths: bags, folders of a lab or single runs of it.
         bellows_file, fin_file: bench tests.
-        definitions: message definitions, as for `open_bag`.
 
     Raises:
         IdentificationError: A file is missing or invalid, or two runs have the same name.
         BagError: A bag cannot be read.
     """
-    recordings = tuple(read_recordings(paths, definitions))
+    recordings = tuple(read_recordings(paths))
     _check_names(recordings)
     labs = sorted({_lab_of(path) for path in paths if run_folders(path)})
     folder = labs[0] if len(labs) == 1 else None
@@ -104,14 +102,14 @@ def _grouped_remarks(recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def read_recordings(paths: Sequence[Path], definitions: Path | None = None) -> list[Recording]:
+def read_recordings(paths: Sequence[Path]) -> list[Recording]:
     """Read all runs in bags and in a lab's folders; each path may contain several runs."""
     recordings: list[Recording] = []
     for path in paths:
         if runs := run_folders(path):
             recordings += map(read_lab_recording, runs)
         else:
-            recordings += read_bag(path, definitions)
+            recordings += read_bag(path)
     return recordings
 
 
@@ -128,9 +126,9 @@ def run_folders(path: Path) -> list[Path]:
     return sorted(file.parent for file in path.glob(f"*/{RUN_FILE}"))
 
 
-def read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
+def read_bag(path: Path) -> tuple[Recording, ...]:
     """Read the runs in a bag. Raises IdentificationError if they were recorded on a slope, with a tether or in flow."""
-    with open_bag(path, definitions=definitions) as bag:
+    with open_bag(path) as bag:
         conditions = recorded_conditions(bag)
         if conditions != LEVEL:
             raise IdentificationError(
@@ -153,7 +151,7 @@ def read_lab_recording(folder: Path) -> Recording:
             f"{folder}: the gait is unknown; add a runs.json with stroke_m and frequency_Hz of each run"
         )
     recording = recordings_of(lab.run, folder.resolve().name, lab.checksums)[0]
-    return replace(recording, remarks=(*lab.transmission.remarks, *recording.remarks))
+    return replace(recording, remarks=(*lab.remarks, *recording.remarks))
 
 
 def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:

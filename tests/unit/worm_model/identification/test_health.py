@@ -200,7 +200,7 @@ def test_no_usable_bag_is_bad_input_of_one_line(tmp_path: Path, run):
     status, out, err = run(health_command, without, broken)
     assert (status, out) == (2, "")
     line = err.strip().splitlines()[-1]
-    assert line.startswith("health: no bag can be used: blind: contains no tracker")
+    assert line.startswith("health: no bag can be used: blind: only 0 samples of tracker")
     assert "(and 1 more)" in line
 
 

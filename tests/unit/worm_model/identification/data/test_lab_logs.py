@@ -245,10 +245,10 @@ def test_spool_and_onset_are_found(folder: Path, gait: Gait, tensioned: float):
     (folder.parent / "runs.json").write_text(json.dumps({"run_07": columns}))
     lab = read_lab_run(played(folder, 0.0125, 1.5, gait, tensioned), SETTINGS)
     assert lab.gait == gait
-    assert lab.transmission.spool_radius == pytest.approx(0.0125, rel=1e-12)
+    assert lab.spool_radius == pytest.approx(0.0125, rel=1e-12)
     assert lab.transmission.onset == pytest.approx(1.5, abs=0.01)
     assert lab.initial_length == pytest.approx(0.296 - resting_change(gait, PAPER), abs=2e-3)
-    assert not any("assumed" in text for text in lab.transmission.remarks)
+    assert not any("assumed" in text for text in lab.remarks)
 
 
 def test_a_given_spool_that_contradicts_the_stroke_is_reported(folder: Path):
