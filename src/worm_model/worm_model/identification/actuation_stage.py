@@ -16,9 +16,7 @@ from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits import actuation_fit
 from worm_model.identification.fits.block_least_squares import (
-    informative,
     normal_equations,
-    own_deviations,
     solve,
 )
 from worm_model.identification.fits.estimate import (
@@ -49,8 +47,6 @@ class ActuationResult:
         slack, gain, time_constant: estimates, m, 1, s.
         correlation: correlation of the three estimates, shape (3, 3).
         fit: the fit to all runs, with the nuisance parameters.
-        clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
-            the offset.
     """
 
     slack: Estimate
@@ -58,7 +54,6 @@ class ActuationResult:
     time_constant: Estimate
     correlation: Array
     fit: actuation_fit.ActuationFit
-    clock_deviation: Array
 
 
 def identify_actuation(
@@ -91,10 +86,7 @@ def identify_actuation(
         _checked(estimate, entry, float(matrix[entry, entry]))
         for entry, estimate in enumerate((slack, gain, time_constant))
     )
-    clocks = informative(
-        own_deviations(fit.problem, fit.solution, actuation_fit.CLOCK), actuation_fit.CLOCK_SPREAD
-    )
-    return ActuationResult(slack, gain, time_constant, correlation(refits), fit, clocks)
+    return ActuationResult(slack, gain, time_constant, correlation(refits), fit)
 
 
 def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:

@@ -16,12 +16,7 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.identification.fits import energy
-from worm_model.identification.fits.block_least_squares import (
-    evaluate,
-    informative,
-    own_deviations,
-    solve,
-)
+from worm_model.identification.fits.block_least_squares import solve
 from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import Traverse
 from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
@@ -31,7 +26,6 @@ from worm_model.parameters import Parameters
 # Smallest ratio of the highest to the lowest gait frequency that separates c_b from α_P
 LEAST_FREQUENCY_RATIO = 1.4
 FEWEST_RUNS = 2
-LEAST_SCATTER = 1e-6  # J, lower bound of the root mean square of a run's energy residuals
 NO_POWER = (
     "no run has power samples from the onset until the rear module has passed five ridges: record the power until the "
     "run ends"
@@ -53,8 +47,6 @@ class EnergyResult:
             given values; NaN if the estimates are not identifiable.
         fit: the fit with the nuisance parameters; c_b is the given value if the estimates are not identifiable.
         runs: the fitted runs.
-        clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
-            the offset.
     """
 
     bellows_damping: Estimate
@@ -63,16 +55,11 @@ class EnergyResult:
     inherited: tuple[float, float]
     fit: energy.EnergyFit
     runs: tuple[energy.PowerRun, ...]
-    clock_deviation: Array
 
-    def clock(self, name: str) -> tuple[float, float]:
-        """Return the clock offset of the power sensor in a run (s) and its standard deviation (s); NaN if unknown."""
-        for run, offset, deviation in zip(
-            self.runs, self.fit.clock_offset, self.clock_deviation, strict=True
-        ):
-            if run.recording.name == name:
-                return float(offset), float(deviation)
-        return float("nan"), float("nan")
+    def clock_offset(self, name: str) -> float:
+        """Return the clock offset of the power sensor in a run, s; NaN if unknown."""
+        names = [run.recording.name for run in self.runs]
+        return float(self.fit.clock_offset[names.index(name)]) if name in names else float("nan")
 
 
 def identify_energy(
@@ -120,8 +107,7 @@ def identify_energy(
     if vague:
         return _given(runs, parameters, NOT_SEPARATED.format(" and of ".join(vague)))
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
-    clocks = _clocks(runs, fit)
-    return EnergyResult(damping, factor, correlation(refits), shares, fit, tuple(runs), clocks)
+    return EnergyResult(damping, factor, correlation(refits), shares, fit, tuple(runs))
 
 
 def _why_not(runs: Sequence[energy.PowerRun]) -> str:
@@ -152,43 +138,7 @@ def _given(runs: Sequence[energy.PowerRun], parameters: Parameters, note: str) -
         (nothing, nothing),
         fit,
         tuple(runs),
-        _clocks(runs, fit),
     )
-
-
-def _clocks(runs: Sequence[energy.PowerRun], fit: energy.EnergyFit) -> Array:
-    """Return the standard deviations (s) of the clock offsets, due to the residuals and the uncertain idle power.
-
-    The entry of a run is NaN if the data do not determine its offset.
-    """
-    if not runs:
-        return np.empty(0)
-    weights = energy.sample_weights(runs, np.maximum(fit.scatter, LEAST_SCATTER) ** -2.0)
-    problem = energy.energy_problem(runs, scale=1.0)
-    solution = evaluate(problem, fit.solution.shared, fit.solution.own)
-    idle = np.array([run.idle for run in runs])
-    idle_deviation = float(idle.std(ddof=1)) if idle.size > 1 else 0.0
-    by_idle = [
-        _shift_by_idle(run, fit, offset) for run, offset in zip(runs, fit.clock_offset, strict=True)
-    ]
-    return informative(
-        np.hypot(own_deviations(problem, solution, 0, weights), idle_deviation * np.array(by_idle)),
-        energy.CLOCK_SPREAD,
-    )
-
-
-def _shift_by_idle(run: energy.PowerRun, fit: energy.EnergyFit, offset: float) -> float:
-    """Return the absolute error of the fitted clock offset that an error of 1 W in the idle power causes, s/W.
-
-    An error of the idle power adds a ramp to the energy, which resembles the effect of a clock offset.
-    """
-    sides = [
-        energy.predicted_energy(run, fit.damping, fit.factor, offset + half)
-        for half in (-5e-4, 5e-4)
-    ]
-    by_offset = (sides[1] - sides[0]) / 1e-3
-    ramp = run.power_time - run.power_time[0]
-    return abs(float(by_offset @ ramp)) / max(float(by_offset @ by_offset), 1e-12)
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,6 @@ class LocomotionResult:
         rear_dry_friction, front_dry_friction, pitch: estimates, N, N and m.
         inflation: factor by which large or correlated residuals increase the variances, see `variance_inflation`.
         correlation: correlation of (η, p_sw, rear and front dry friction, pitch, onset), shape (6, 6).
-        landscape: J_loc on the grid of the search.
         fit: the fit with all nuisance parameters.
         variants: fits with changed fin values. There is one for each independent direction of the fin values'
             covariance, with a change of one standard deviation. Empty if the covariance is unknown.
@@ -100,7 +99,6 @@ class LocomotionResult:
     pitch: Estimate
     inflation: float
     correlation: Array
-    landscape: locomotion.Landscape
     fit: GrooveFit
     variants: tuple[GrooveFit, ...]
     stiffer: GrooveFit
@@ -131,10 +129,10 @@ def identify_locomotion(
     parameters. If no fit explains the motion, or if the profiles repeatedly find a better fit, the estimates are not
     identifiable.
     """
-    landscape = locomotion.search(traverses, known, lambda done: progress(0.3 * done))
-    start = locomotion.find_locomotion(traverses, known, landscape)
+    valleys = locomotion.search(traverses, known, lambda done: progress(0.3 * done))
+    start = locomotion.find_locomotion(traverses, known, valleys)
     if locomotion.is_lost(start):
-        return _unexplained(traverses, known, landscape)
+        return _unexplained(traverses, known)
     plain = _without_dry_friction(traverses, known, start)
     fit = fit_grooves(traverses, known, start)
     progress(0.5)
@@ -166,7 +164,6 @@ def identify_locomotion(
         pitch=if_identifiable(pitch, note=trouble),
         inflation=inflation,
         correlation=covariance / np.outer(deviation, deviation),
-        landscape=landscape,
         fit=fit,
         variants=variants,
         stiffer=replace(fit, solution=stiffer),
@@ -176,9 +173,7 @@ def identify_locomotion(
 
 
 def _unexplained(
-    traverses: Sequence[locomotion.Traverse],
-    known: locomotion.Known,
-    landscape: locomotion.Landscape,
+    traverses: Sequence[locomotion.Traverse], known: locomotion.Known
 ) -> LocomotionResult:
     """Return the result of runs that no friction and threshold explain, with the given values."""
     fit = given_fit(traverses, known)
@@ -193,7 +188,6 @@ def _unexplained(
         pitch,
         inflation=float("inf"),
         correlation=np.full((MEANS, MEANS), np.nan),
-        landscape=landscape,
         fit=fit,
         variants=(),
         stiffer=fit,

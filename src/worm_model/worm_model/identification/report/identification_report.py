@@ -14,7 +14,7 @@ import numpy as np
 
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import KEYS as ENERGY
-from worm_model.identification.fits.estimate import Estimate, quantile
+from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.inputs import Inputs
@@ -37,7 +37,6 @@ ERROR_COLUMNS = (
 FIGURE_TITLES = {
     "bellows": "Bellows test and linear fit",
     "fin": "Fin test and fitted law",
-    "search": "J_loc over the switching threshold",
 }
 
 
@@ -55,7 +54,7 @@ def write_report(
     pictures = folder / FIGURES
     pictures.mkdir()
     names = []
-    expected = 3 * len(result.runs) + 3
+    expected = 3 * len(result.runs) + 2
     for name, figure in all_figures(result):
         save_png_and_pdf(figure, pictures / name)
         names.append(name)
@@ -201,24 +200,15 @@ def nuisance_text(result: Identification) -> str:
         "| run | L0 (mm) | P_idle (W) | camera behind servo (ms) | power behind camera (ms) | five ridges |",
         "| --- | ---: | ---: | ---: | ---: | --- |",
     ]
-    offsets, deviations = result.actuation.fit.clock_offset, result.actuation.clock_deviation
     for index, run in enumerate(result.runs):
-        length = locomotion.initial_length[index]
-        camera = _milliseconds(offsets[index], deviations[index])
-        power = _milliseconds(*result.energy.clock(run.name))
+        length = 1e3 * locomotion.initial_length[index]
+        camera = 1e3 * result.actuation.fit.clock_offset[index]
+        power = _number("{:+.1f}", 1e3 * result.energy.clock_offset(run.name))
         reached = f"after {run.traverse.end:.1f} s" if run.traverse.complete else "not reached"
         lines.append(
-            f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera} | {power} | "
-            f"{reached} |"
+            f"| {run.name} | {length:.2f} | {run.idle.value:.3f} | {camera:+.1f} | {power} | {reached} |"
         )
     return head + "\n".join(lines)
-
-
-def _milliseconds(offset: float, deviation: float) -> str:
-    """Return a clock offset with its 95 % half-width in ms as text; "not identified" if the deviation is NaN."""
-    if not np.isfinite(deviation):
-        return "not identified"
-    return f"{offset * 1e3:+.1f} ± {quantile(np.inf) * deviation * 1e3:.1f}"
 
 
 def _picture(name: str) -> str:
