@@ -19,9 +19,6 @@ from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.parameters import ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
-# Smallest number of consecutive bags on one side of the parameter's interval that violates `Rule.ONE_SIDE`. If the
-# limits come from the bags, the mean of the bags replaces the interval.
-ONE_SIDE = 8
 # Smallest number of consecutive bags with rising values, or with falling values, that violates `Rule.MONOTONE`
 MONOTONE = 6
 SIGMAS = 3.0  # distance of a limit from the centre, in standard deviations
@@ -42,7 +39,6 @@ class Rule(StrEnum):
     """Rule of a control chart."""
 
     LIMIT = "beyond a control limit"
-    ONE_SIDE = f"at least {ONE_SIDE} in a row on one side"
     MONOTONE = f"at least {MONOTONE} in a row in one direction"
 
 
@@ -51,24 +47,16 @@ class Limits:
     """Control limits in the parameter's unit.
 
     Attributes:
-        low, high: control limits.
-        middle_low, middle_high: 95 % interval of the parameter in the parameter file. If the limits come from the bags,
-            both are the mean of the bags.
+        low, centre, high: control limits, and the value between them.
         resolution: half-width of a single bag's 95 % interval, median over the bags.
         source: origin of the limits, as text.
     """
 
     low: float
-    middle_low: float
-    middle_high: float
+    centre: float
     high: float
     resolution: float
     source: str
-
-    @property
-    def centre(self) -> float:
-        """Centre of the interval of the parameter."""
-        return 0.5 * (self.middle_low + self.middle_high)
 
 
 @dataclass(frozen=True)
@@ -105,10 +93,8 @@ class Chart:
     def state(self) -> State:
         """State of the chart; a trending parameter may also be out of its limits."""
         rules = {signal.rule for signal in self.signals}
-        if rules - {Rule.LIMIT}:
-            return State.TRENDING
         if rules:
-            return State.OUT
+            return State.TRENDING if Rule.MONOTONE in rules else State.OUT
         if not np.isfinite(self.value).any():
             return State.NOT_IDENTIFIABLE
         return State.TOO_FEW if self.limits is None else State.WITHIN
@@ -165,7 +151,7 @@ def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
     centre, half = 0.5 * (interval[0] + interval[1]), 0.5 * (interval[1] - interval[0])
     reach = SIGMAS / quantile(np.inf) * float(np.hypot(half, resolution))
     source = "the parameter file: its 95 % interval and the interval of a bag, at three standard deviations"
-    return Limits(centre - reach, interval[0], interval[1], centre + reach, resolution, source)
+    return Limits(centre - reach, centre, centre + reach, resolution, source)
 
 
 def limits_of_bags(value: Array, resolution: float) -> Limits | None:
@@ -184,34 +170,25 @@ def limits_of_bags(value: Array, resolution: float) -> Limits | None:
     if ranges < resolution:
         source += ", widened to the 95 % interval of a bag"
     reach = max(ranges, resolution)
-    return Limits(centre - reach, centre, centre, centre + reach, resolution, source)
+    return Limits(centre - reach, centre, centre + reach, resolution, source)
 
 
 def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
     """Return the violations of ``value`` (n,); NaN values are skipped.
 
-    A series of bags violates `Rule.MONOTONE` or `Rule.ONE_SIDE` only if its change exceeds the uncertainty that follows
-    from the resolution. The change of a monotone series is the difference between its last and its first value. The
-    change of a series on one side is the distance of its mean from the parameter's interval.
+    A series of bags violates `Rule.MONOTONE` only if the difference between its last and its first value exceeds the
+    uncertainty that follows from the resolution.
     """
     index = np.flatnonzero(np.isfinite(value))
-    known, resolution = value[index], limits.resolution
+    known = value[index]
     signals = []
-    for direction in (1, -1):
-        up = direction * known
-        middle, limit = limits.middle_high, limits.high
-        if direction < 0:
-            middle, limit = -limits.middle_low, -limits.low
-        rows = [(Rule.LIMIT, a, b) for a, b in _stretches(up > limit, 1)]
+    for direction, limit in ((1, limits.high), (-1, limits.low)):
+        rows = [(Rule.LIMIT, a, b) for a, b in _stretches(direction * (known - limit) > 0.0, 1)]
+        rising = direction * np.diff(known)
         rows += [
             (Rule.MONOTONE, a, b + 1)
-            for a, b in _stretches(np.diff(up) > 0.0, MONOTONE - 1)
-            if up[b + 1] - up[a] > np.sqrt(2.0) * resolution
-        ]
-        rows += [
-            (Rule.ONE_SIDE, a, b)
-            for a, b in _stretches(up > middle, ONE_SIDE)
-            if (up[a : b + 1] - middle).mean() > resolution / np.sqrt(b + 1 - a)
+            for a, b in _stretches(rising > 0.0, MONOTONE - 1)
+            if rising[a : b + 1].sum() > np.sqrt(2.0) * limits.resolution
         ]
         signals += [Signal(rule, int(index[a]), int(index[b]), direction) for rule, a, b in rows]
     return tuple(sorted(signals, key=lambda signal: (signal.first, signal.last)))

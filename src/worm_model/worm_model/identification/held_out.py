@@ -15,7 +15,7 @@ from worm_model.identification.fits.block_least_squares import of_runs, remember
 from worm_model.identification.fits.energy import fit_energy
 from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.fits.run_prediction import Errors, errors, predict
+from worm_model.identification.fits.run_prediction import Errors, run_errors
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion_stage import ONSET, LocomotionResult
 from worm_model.identification.run_selection import FittedRun
@@ -29,12 +29,6 @@ ITERATIONS = 4  # iterations of the locomotion fit, which starts from the fit to
 # Number of residuals that are kept, so that those at the common start of the fits are computed once
 REMEMBERED = 4096
 FEWEST = 2  # smallest number of runs for leaving one out
-
-
-def run_errors(run: FittedRun, parameters: Parameters, clock_offset: float) -> Errors:
-    """Return the errors of one run. ``clock_offset`` (s) is positive if the camera's stamps are early."""
-    prediction = predict(run.recording, run.traverse, parameters, clock_offset)
-    return errors(run.recording, run.traverse, prediction)
 
 
 def leave_one_out(

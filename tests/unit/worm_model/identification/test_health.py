@@ -65,7 +65,7 @@ SLOW = 90.0 + 0.1 * np.arange(6.0)
         ("gain", [0.86, 0.85, 0.87, 0.5], 1e-9, None, State.TOO_FEW, None, 0, ""),
         ("gain", [0.868], 0.01, GAIN, State.WITHIN, None, 0, ""),
         ("gain", [0.83], 0.01, GAIN, State.OUT, 0, -1, "stretched"),
-        ("gain", [np.nan] * drift.ONE_SIDE, 0.01, GAIN, State.NOT_IDENTIFIABLE, None, 0, ""),
+        ("gain", [np.nan] * 8, 0.01, GAIN, State.NOT_IDENTIFIABLE, None, 0, ""),
         ("slack", SLACKS, 1e-9, None, State.OUT, 7, 1, "re-tension"),
         ("viscous_friction", RISING, 1e-9, None, State.TRENDING, 2, 1, "clean the pipe"),
         ("viscous_friction", RISING[:-1], 1e-9, None, State.WITHIN, None, 0, ""),
@@ -97,17 +97,6 @@ def test_a_drift_began_where_it_set_in_though_it_drags_the_mean_along():
         (drift.Rule.LIMIT, -1),
     }
     assert (found.state, found.began, found.direction) == (State.TRENDING, 1, -1)
-
-
-def test_eight_on_one_side_are_a_trend_only_beyond_what_the_file_leaves_open():
-    values = np.array([0.866, 0.867] * 4)
-    wide = drift.limits_of_file((0.85, 0.87), 0.0)
-    narrow = drift.limits_of_file((0.864, 0.8655), 0.0)
-    narrow = replace(narrow, low=0.8, high=0.9)
-    assert drift.find_signals(values, wide) == ()
-    rules = [(s.rule, s.first, s.last, s.direction) for s in drift.find_signals(values, narrow)]
-    assert rules == [(drift.Rule.ONE_SIDE, 0, 7, 1)]
-    assert drift.find_signals(values[:-1], narrow) == ()
 
 
 def test_a_bag_without_an_estimate_is_skipped():

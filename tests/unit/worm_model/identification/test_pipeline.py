@@ -65,7 +65,7 @@ def test_the_model_fits_robots_of_the_model_and_predicts_held_out_runs(results):
     for result in results:
         assert result.fit.verdict is Verdict.FITS
         assert result.fit.causes == ()
-        assert result.fit.x1_held_out < result.fit.x1_paper
+        assert result.fit.x1_held_out_m < result.fit.x1_paper_m
         assert set(result.held_out) == {run.name for run in result.runs}
         for name, error in result.held_out.items():
             assert error.x1_rmse < 1e-3

@@ -48,7 +48,7 @@ def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
         yield "fin", fin_figure(result.fin)
     offset = float(result.actuation.fit.clock_offset.mean())
     for run in result.runs:
-        prediction = predict(run.recording, run.traverse, result.parameters, offset)
+        prediction = predict(run, result.parameters, offset)
         yield f"{run.name}_motion", _motion(run, prediction, result.parameters.pitch)
         yield f"{run.name}_length", _length(run, prediction, result.parameters.slack)
         yield f"{run.name}_energy", energy_of_run(run, prediction)
@@ -123,7 +123,7 @@ def _length(run: FittedRun, prediction: RunPrediction, slack: float) -> Figure:
 
 def energy_of_run(run: FittedRun, prediction: RunPrediction) -> Figure:
     """Plot measured and predicted source power and energy, and the energy difference."""
-    time, power = measured_power(run.recording, run.traverse)
+    time, power = measured_power(run)
     expected = np.interp(time, prediction.time, prediction.energy)
     measured, expected = accumulated(time, power), expected - expected[:1]
     return energy_figure(

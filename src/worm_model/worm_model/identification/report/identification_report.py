@@ -270,7 +270,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 def summary(result: Identification) -> dict[str, Any]:
     """Return the result as a JSON object; unknown numbers are NaN or None."""
     return {
-        "fit": result.fit.as_dict(),
+        "fit": asdict(result.fit),
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
         "travel_error": asdict(result.travel_error or PRIOR),
         "margins": {
