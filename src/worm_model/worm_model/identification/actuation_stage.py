@@ -25,7 +25,7 @@ from worm_model.identification.fits.estimate import (
     not_identifiable,
     quantile,
 )
-from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
+from worm_model.identification.fits.resampling import REFITS, correlation, estimates, unit_weights
 
 # A parameter counts as without effect if a change of its value by one derivative step hardly changes the residuals: the
 # sum of the squared changes, in units of the camera's noise, is below this limit.
@@ -69,7 +69,7 @@ def identify_actuation(
         drawn = [weights[index][label] for label in labels]
         return solve(fit.problem, fit.solution.shared, fit.solution.own, drawn).shared
 
-    refits = refitted(refit)
+    refits = np.array([refit(index) for index in range(REFITS)])
     # A run whose pretension takes up the slack contains no information about the slack.
     slack_units = sum(
         np.unique(label).size

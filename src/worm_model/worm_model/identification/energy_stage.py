@@ -19,7 +19,7 @@ from worm_model.identification.fits import energy
 from worm_model.identification.fits.block_least_squares import solve
 from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import Traverse
-from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
+from worm_model.identification.fits.resampling import REFITS, correlation, estimates, unit_weights
 from worm_model.identification.locomotion_stage import LocomotionResult, holding_forces
 from worm_model.parameters import Parameters
 
@@ -98,7 +98,7 @@ def identify_energy(
         samples = [energy.sample_weights(runs, weight) for weight in (weights[index], alike)]
         return np.array([solve(problem, start.shared, start.own, each).shared for each in samples])
 
-    both = refitted(refit)
+    both = np.array([refit(index) for index in range(REFITS)])
     refits = both[:, 0]
     inherited = both[:, 1].var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))

@@ -246,11 +246,10 @@ def _identify_energy(
 
 def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:
     """Return c_b and α_P."""
-    fitted = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
-    if not reference.parameters.one_sided_cable:
-        return fitted
+    form = ONE_SIDED if reference.parameters.one_sided_cable else ""
+    fitted = {key: getattr(energy, key) for key in FITTED_WITH_FORM}
     return {
-        key: replace(estimate, note="; ".join(filter(None, (estimate.note, ONE_SIDED))))
+        key: replace(estimate, note="; ".join(filter(None, (estimate.note, form))))
         for key, estimate in fitted.items()
     }
 

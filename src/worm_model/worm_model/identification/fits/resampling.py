@@ -8,7 +8,7 @@ as for the mean of an equal number of normally distributed values.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,11 +23,6 @@ def unit_weights(random: np.random.Generator, units: int) -> Array:
     """Return random weights with mean 1 in every row, shape (REFITS, units)."""
     weights = random.exponential(size=(REFITS, units))
     return weights / weights.mean(axis=1, keepdims=True)
-
-
-def refitted(refit: Callable[[int], Array]) -> Array:
-    """Return the results of all refits in order, shape (REFITS, ...)."""
-    return np.array([refit(index) for index in range(REFITS)])
 
 
 def spread_factor(units: int) -> float:
