@@ -68,14 +68,14 @@ def case(seed: int) -> Case:
     """Identify a robot from eight runs and two bench tests."""
     campaign = virtual_campaign(seed)
     truth = {key: getattr(campaign.truth, key) for key in IDENTIFIED}
-    return _case(seed, truth, lambda: identify(campaign.inputs, campaign.reference, seed))
+    return _case(seed, truth, lambda: identify(campaign.inputs, campaign.reference))
 
 
 def compliant_case(seed: int) -> Case:
     """Identify a virtual robot with a compliant cable, which cannot push."""
     campaign = virtual_campaign(seed, CAMPAIGN, SPREAD, CABLE_N_PER_M)
     truth = {key: getattr(campaign.truth, key) for key in FOREIGN_KEYS}
-    return _case(seed, truth, lambda: identify(campaign.inputs, campaign.reference, seed))
+    return _case(seed, truth, lambda: identify(campaign.inputs, campaign.reference))
 
 
 def foreign_case(seed: int) -> Case:
@@ -143,7 +143,7 @@ def timing() -> list[Row]:
 
     def once() -> None:
         inputs = read_inputs([LAB])
-        identify(inputs, reference_by_folder(LAB), 0)
+        identify(inputs, reference_by_folder(LAB))
 
     return [
         Row(

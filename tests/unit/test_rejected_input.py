@@ -47,7 +47,6 @@ BAD = [
     (SIMULATE, f"{GAIT} --output gaits.csv", "exists already"),
     (IDENTIFY, "nowhere", "nowhere does not exist"),
     (IDENTIFY, ".", "is not a bag"),
-    (IDENTIFY, "bag --seed -1", "must not be negative"),
     (IDENTIFY, "bag --output no/such/folder.yaml", "does not exist"),
     (IDENTIFY, "bag --parameters none.yaml", "none.yaml"),
     (EXPORT, "bag --output bag", "bag: exists"),

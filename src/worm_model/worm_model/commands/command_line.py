@@ -94,20 +94,6 @@ class Parser(command_parser.Parser):
             help=f"parameter file (YAML); default: {default}",
         )
 
-    def add_transmission(self) -> None:
-        """Add --onset and --spool-radius, for the logs of a lab; without them, both are estimated or assumed."""
-        self.add_number(
-            "--onset",
-            "S",
-            "start of the gait in a lab's logs in s; default: from the servo's log",
-        )
-        self.add_number(
-            "--spool-radius",
-            "M",
-            "spool radius of the cable servo in a lab's logs in m; default: computed from the servo's goals and the "
-            "stroke",
-        )
-
     def add_json(self) -> None:
         """Add --json; see `print_result`."""
         self.add_argument("--json", action="store_true", help="print one JSON object")

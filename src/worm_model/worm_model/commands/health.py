@@ -22,7 +22,7 @@ from worm_model.identification.drift import ADVICE, FEWEST_BAGS, MARGIN, Chart, 
 from worm_model.parameters import UNITS, load_parameter_file
 
 if TYPE_CHECKING:
-    from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag
+    from worm_model.identification.drift_estimates import BagEstimates
 
 
 def _parser() -> Parser:
@@ -48,31 +48,37 @@ def _health(options: argparse.Namespace) -> None:
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(
-            f"no bag can be used: {_named(left_out[0])}{more}; give bags with one gait each that begins at rest"
+            f"no bag can be used: {left_out[0]}{more}; give bags with one gait each that begins at rest"
         )
     charts = [chart_of(key, [bag.estimates[key] for bag in bags], known) for key in ADVICE]
-    print_result(options, health_json(bags, left_out, charts), describe(bags, left_out, charts))
-
-
-def health_json(
-    bags: Sequence[BagEstimates], left_out: Sequence[ExcludedBag], charts: Sequence[Chart]
-) -> dict[str, Any]:
-    """Return the JSON object of the output, in SI units."""
-    return {
+    remarks = _remarks(bags, charts)
+    content = {
         "healthy": all(chart.state is State.WITHIN for chart in charts),
         "parameters": {chart.key: _chart_json(chart, bags) for chart in charts},
-        "bags": [
-            {
-                "bag": bag.name,
-                "start": bag.date,
-                **{name: value for name, value in asdict(bag.gait).items() if name != "margin"},
-                "estimates": {key: e.as_dict() for key, e in bag.estimates.items()},
-                "remarks": bag.remarks,
-            }
-            for bag in bags
-        ],
+        "bags": [_bag_json(bag) for bag in bags],
         "left_out": [{"bag": bag.name, "reason": bag.reason} for bag in left_out],
-        "remarks": _remarks(bags, charts),
+        "remarks": remarks,
+    }
+    first, last = bags[0], bags[-1]
+    lines = [
+        f"{'1 bag' if len(bags) == 1 else f'{len(bags)} bags'}, {first.name} ({first.recording.date}) to "
+        f"{last.name} ({last.recording.date})",
+        *(line for chart in charts for line in _lines(chart, bags)),
+        *(remark for bag in bags for remark in bag.remarks),
+        *remarks,
+        *(f"left out: {bag}" for bag in left_out),
+    ]
+    print_result(options, content, "\n".join(lines))
+
+
+def _bag_json(bag: BagEstimates) -> dict[str, Any]:
+    gait = {name: value for name, value in asdict(bag.recording.gait).items() if name != "margin"}
+    return {
+        "bag": bag.name,
+        "start": bag.recording.date,
+        **gait,
+        "estimates": {key: estimate.as_dict() for key, estimate in bag.estimates.items()},
+        "remarks": bag.remarks,
     }
 
 
@@ -97,21 +103,6 @@ def _chart_json(chart: Chart, bags: Sequence[BagEstimates]) -> dict[str, Any]:
         ],
         "advice": chart.advice or None,
     }
-
-
-def describe(
-    bags: Sequence[BagEstimates], left_out: Sequence[ExcludedBag], charts: Sequence[Chart]
-) -> str:
-    """Return the verdicts as text."""
-    used = "1 bag" if len(bags) == 1 else f"{len(bags)} bags"
-    lines = [f"{used}, {bags[0].name} ({bags[0].date}) to {bags[-1].name} ({bags[-1].date})"]
-    for chart in charts:
-        lines += _lines(chart, bags)
-    for bag in bags:
-        lines += [f"{bag.name}: {remark.removeprefix(f'{bag.name}: ')}" for remark in bag.remarks]
-    lines += _remarks(bags, charts)
-    lines += [f"left out: {_named(bag)}" for bag in left_out]
-    return "\n".join(lines)
 
 
 def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
@@ -149,16 +140,11 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
             f"too few bags for limits of {', '.join(few)}: give at least {FEWEST_BAGS} bags that determine them, or a "
             "parameter file with their intervals (identify writes one)"
         )
-    if len({bag.gait for bag in bags}) > 1:
+    if len({bag.recording.gait for bag in bags}) > 1:
         remarks.append(
             "the bags contain different gaits: errors of the model differ between gaits, and may look like drift"
         )
     return remarks
-
-
-def _named(bag: ExcludedBag) -> str:
-    """Return the reason why a bag is excluded, preceded by the bag's name unless the reason contains the name."""
-    return bag.reason if bag.name in bag.reason else f"{bag.name}: {bag.reason}"
 
 
 main = executable(_parser, _health)

@@ -9,30 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from worm_model.commands.command_line import (
-    InputError,
     Parser,
     ProgressLine,
     executable,
     new_file,
     print_result,
 )
-from worm_model.parameters import (
-    FORM,
-    KEYS,
-    MADE_BY,
-    PAPER,
-    UNITS,
-    ParameterFile,
-    load_parameter_file,
-    write_parameter_file,
-)
+from worm_model.parameters import ParameterFile, load_parameter_file, write_parameter_file
 
 if TYPE_CHECKING:
     from worm_model.identification.inputs import Inputs
     from worm_model.identification.reference_values import ReferenceValues
     from worm_model.identification.stages import Identification
-
-SIDES = {"positive": 1, "negative": -1}
 
 
 def _parser() -> Parser:
@@ -53,36 +41,14 @@ def _parser() -> Parser:
         "--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N"
     )
     parser.add_argument("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
-    parser.add_argument(
-        "--fin-engages",
-        choices=sorted(SIDES),
-        help="sign of the displacement in which the tested fin engages; default: its stiffer side",
-    )
-    parser.add_argument(
-        "--validation",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="BAG",
-        help="runs for validation, which are not fitted",
-    )
     parser.add_argument("--output", metavar="FILE", help="new parameter file; must not exist")
     parser.add_argument("--report", metavar="DIR", help="folder for the report; must not exist")
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of the bootstrap (default 0)"
-    )
-    parser.add_argument(
-        "--literal",
-        action="store_true",
-        help="for comparison, run the paper's procedure: its cost functions, no nuisance parameters, no intervals",
-    )
     parser.add_argument(
         "--one-sided-cable",
         action="store_true",
         help="fit the power model of a cable that cannot push, and store this choice in the parameter file; default: "
         "the power model of --parameters, else the paper's",
     )
-    parser.add_transmission()
     parser.add_json()
     parser.add_parameters("README.md of a lab's folder, else the paper's values")
     return parser
@@ -102,56 +68,16 @@ class StageProgress:
 
 
 def _reference(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
-    reference = _given(options, inputs)
-    return reference.with_one_sided_cable() if options.one_sided_cable else reference
-
-
-def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
     from worm_model.identification.reference_values import reference_by_file, reference_by_folder
 
     if options.parameters:
-        return reference_by_file(
-            load_parameter_file(options.parameters), Path(options.parameters).name
-        )
-    if inputs.folder is not None:
-        return reference_by_folder(inputs.folder)
-    return reference_by_file(ParameterFile(), "the paper")
-
-
-def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
-    """Run the paper's procedure; see `worm_model.identification.paper_procedure`."""
-    from worm_model.identification.paper_procedure import literal
-
-    if options.report or options.validation:
-        raise InputError(
-            "--literal supports neither report nor validation; remove --report and --validation"
-        )
-    if options.one_sided_cable:
-        raise InputError(
-            "--literal uses the paper's power model; remove --one-sided-cable or --literal"
-        )
-    reference = _reference(options, inputs)
-    parameters, costs = literal(
-        inputs, reference.parameters, StageProgress(), SIDES.get(options.fin_engages, 0)
-    )
-    if output is not None:
-        provenance = {"made_by": f"{MADE_BY} --literal", FORM: False, "given": reference.source}
-        write_parameter_file(output, ParameterFile(parameters, {}, provenance))
-    unknown = {"low": None, "high": None, "identifiable": True}
-    values = {key: getattr(parameters, key) for key in KEYS}
-    content = {
-        "parameters": {key: {"value": value, **unknown} for key, value in values.items()},
-        FORM: False,
-        "costs": costs,
-    }
-    lines = [
-        f"{key:22} {value:12.6g} {UNITS[key]:6}  (paper: {getattr(PAPER, key):g})"
-        for key, value in values.items()
-    ]
-    lines += [f"{name:22} {cost:12.6g}" for name, cost in costs.items()]
-    for remark in inputs.remarks:
-        sys.stderr.write(f"{remark}\n")
-    print_result(options, content, "\n".join(lines))
+        file = load_parameter_file(options.parameters)
+        reference = reference_by_file(file, Path(options.parameters).name)
+    elif inputs.folder is not None:
+        reference = reference_by_folder(inputs.folder)
+    else:
+        reference = reference_by_file(ParameterFile(), "the paper")
+    return reference.with_one_sided_cable() if options.one_sided_cable else reference
 
 
 def _describe(result: Identification, advice: str) -> str:
@@ -164,19 +90,16 @@ def _describe(result: Identification, advice: str) -> str:
     parts = [
         result.fit.text,
         parameter_table(result.estimates),
-        "Held-out errors, in brackets with the paper's table:\n"
-        + error_table(result.held_out, result.paper),
+        "Held-out errors, in brackets with the paper's table:\n" + error_table(result),
+        travel_text(result),
+        f"Recommended measurement: {advice}.",
     ]
-    parts.append(travel_text(result))
-    if result.validation:
-        parts.append("Errors of the validation runs:\n" + error_table(result.validation, {}))
-    return "\n\n".join([*parts, f"Recommended measurement: {advice}."])
+    return "\n\n".join(parts)
 
 
 def _run(options: argparse.Namespace) -> None:
     # here: SciPy and Numba load slowly
-    from worm_model.identification.data.lab_logs import LabSettings
-    from worm_model.identification.inputs import read_inputs, read_recordings
+    from worm_model.identification.inputs import read_inputs
     from worm_model.identification.report.advice import advise
     from worm_model.identification.report.identification_report import (
         parameter_file,
@@ -187,24 +110,9 @@ def _run(options: argparse.Namespace) -> None:
 
     output = new_file(options.output) if options.output else None
     report = new_file(options.report) if options.report else None
-    if options.seed < 0:
-        raise InputError("--seed must not be negative")
-    if (options.spool_radius or 1.0) <= 0:
-        raise InputError("--spool-radius must be positive")
     reporter = StageProgress()
-    logs = LabSettings(onset=options.onset, spool_radius=options.spool_radius)
-    inputs = read_inputs(options.runs, options.bellows, options.fin, logs)
-    if options.literal:
-        _literal(options, inputs, output)
-        return
-    result = identify(
-        inputs,
-        _reference(options, inputs),
-        options.seed,
-        SIDES.get(options.fin_engages, 0),
-        read_recordings(options.validation, logs),
-        reporter,
-    )
+    inputs = read_inputs(options.runs, options.bellows, options.fin)
+    result = identify(inputs, _reference(options, inputs), reporter)
     advice = advise(result)
     if output is not None:
         write_parameter_file(output, parameter_file(result, inputs))

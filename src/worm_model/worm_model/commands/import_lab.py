@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from worm_model.commands import command_line
-from worm_model.parameters import Parameters, load_parameters
 
 if TYPE_CHECKING:  # Numba loads slowly
     from worm_model.identification.data.lab_logs import LabRun, LabSettings
@@ -39,7 +38,7 @@ def _manifest(folder: Path, lab: LabRun) -> dict[str, str]:
     return {
         "imported_from": folder.resolve().name,
         "initial_length": repr(lab.initial_length),
-        "spool_radius": repr(lab.transmission.spool_radius),
+        "spool_radius": repr(lab.spool_radius),
         **{f"sha256.{name}": checksum for name, checksum in lab.checksums.items()},
     }
 
@@ -52,7 +51,14 @@ def _parser() -> command_line.Parser:
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="the run's folder")
     parser.add_argument("--output", required=True, metavar="BAG", help="new bag; must not exist")
-    parser.add_transmission()
+    parser.add_number(
+        "--onset", "S", "start of the gait in s of the logs; default: from the servo's log"
+    )
+    parser.add_number(
+        "--spool-radius",
+        "M",
+        "spool radius of the cable servo in m; default: computed from the servo's goals and the stroke",
+    )
     parser.add_number(
         "--initial-length",
         "M",
@@ -66,14 +72,12 @@ def _parser() -> command_line.Parser:
         help="time t = 0 of the logs, in s since 1970-01-01 UTC; 0 if the logs count from 1970 (default: 2026-01-01)",
     )
     parser.add_json()
-    parser.add_parameters()
     return parser
 
 
 def _run(options: argparse.Namespace) -> None:
     from worm_model.identification.data.lab_logs import LabSettings
 
-    parameters = load_parameters(options.parameters) if options.parameters else Parameters()
     if options.spool_radius is not None:
         _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)
     if options.initial_length is not None:
@@ -83,11 +87,10 @@ def _run(options: argparse.Namespace) -> None:
         onset=options.onset,
         spool_radius=options.spool_radius,
         initial_length=options.initial_length,
-        fallback_length=parameters.initial_length,
     )
     output = command_line.new_file(options.output)
     lab = import_lab(options.folder, output, settings)
-    for remark in lab.transmission.remarks:
+    for remark in lab.remarks:
         _notify(remark)
     positions = [lab.run.tracker.rear_position, lab.run.tracker.front_position]
     counts = {

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from worm_model.commands.command_line import (
-    InputError,
     Parser,
     executable,
     notifier,
@@ -40,14 +39,17 @@ def _parser() -> Parser:
 def add_grooves(parser: Parser, default: str) -> None:
     """Add the grooves per cycle that a margin refers to."""
     parser.add_argument(
-        "--grooves", type=int, metavar="N", help=f"grooves per cycle to keep (default: {default})"
+        "--grooves",
+        type=_grooves,
+        metavar="N",
+        help=f"grooves per cycle to keep, 1 or more (default: {default})",
     )
 
 
-def check_grooves(options: argparse.Namespace) -> None:
-    """Raise `InputError` if the option of `add_grooves` is inadmissible."""
-    if options.grooves is not None and options.grooves < 1:
-        raise InputError(f"--grooves {options.grooves}: give 1 or more")
+def _grooves(text: str) -> int:
+    if int(text) < 1:
+        raise ValueError
+    return int(text)
 
 
 def measured_margins(
@@ -72,7 +74,6 @@ def measured_margins(
 
 
 def _margin(options: argparse.Namespace) -> None:
-    check_grooves(options)
     notify = notifier("margin")
     runs = [
         (path, run)
@@ -90,18 +91,11 @@ def _described(path: Path, run: RunMargin) -> str:
     head = f"{path}: {run.gait.stroke * 1e3:.1f} mm, {run.gait.frequency:g} Hz"
     if not run.source:
         return f"{head}: not measured; the tracker must see both modules in most of the run"
+    columns = [(fin, name) for name in ("length", "margin") for fin in ("rear", "front")]
+    titles = ["cycle", "grooves", *(f"{fin} {name} mm" for fin, name in columns)]
     rows = [
-        [str(c.cycle), str(c.grooves), _both(c.rear, "length"), _both(c.front, "length"),
-         _both(c.rear, "margin"), _both(c.front, "margin")]
+        [str(c.cycle), str(c.grooves), *(_both(getattr(c, fin), name) for fin, name in columns)]
         for c in run.cycles
-    ]  # fmt: skip
-    titles = [
-        "cycle",
-        "grooves",
-        "rear length mm",
-        "front length mm",
-        "rear margin mm",
-        "front margin mm",
     ]
     return f"{head}\n{text_table([titles, *rows])}\n{run}"
 

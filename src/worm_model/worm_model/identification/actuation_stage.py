@@ -16,9 +16,7 @@ from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits import actuation_fit
 from worm_model.identification.fits.block_least_squares import (
-    informative,
     normal_equations,
-    own_deviations,
     solve,
 )
 from worm_model.identification.fits.estimate import (
@@ -27,10 +25,8 @@ from worm_model.identification.fits.estimate import (
     not_identifiable,
     quantile,
 )
-from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
-from worm_model.parameters import PAPER
+from worm_model.identification.fits.resampling import REFITS, correlation, estimates, unit_weights
 
-USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # usual values, see `if_identifiable`
 # A parameter counts as without effect if a change of its value by one derivative step hardly changes the residuals: the
 # sum of the squared changes, in units of the camera's noise, is below this limit.
 LEAST_INFORMATION = 1e-9
@@ -51,8 +47,6 @@ class ActuationResult:
         slack, gain, time_constant: estimates, m, 1, s.
         correlation: correlation of the three estimates, shape (3, 3).
         fit: the fit to all runs, with the nuisance parameters.
-        clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
-            the offset.
     """
 
     slack: Estimate
@@ -60,7 +54,6 @@ class ActuationResult:
     time_constant: Estimate
     correlation: Array
     fit: actuation_fit.ActuationFit
-    clock_deviation: Array
 
 
 def identify_actuation(
@@ -68,34 +61,32 @@ def identify_actuation(
 ) -> ActuationResult:
     """Estimate slack, gain and time constant from all runs; ``random`` draws the bootstrap weights."""
     fit = actuation_fit.fit_actuation(recordings)
-    problem = actuation_fit.actuation_problem(recordings)
     labels = _units(recordings)
     units = int(max(label.max() for label in labels)) + 1
     weights = unit_weights(random, units)
 
     def refit(index: int) -> Array:
         drawn = [weights[index][label] for label in labels]
-        return solve(problem, fit.solution.shared, fit.solution.own, drawn).shared
+        return solve(fit.problem, fit.solution.shared, fit.solution.own, drawn).shared
 
-    refits = refitted(refit)
+    refits = np.array([refit(index) for index in range(REFITS)])
     # A run whose pretension takes up the slack contains no information about the slack.
     slack_units = sum(
         np.unique(label).size
         for recording, label in zip(recordings, labels, strict=True)
-        if recording.gait.pretension < fit.slack
+        if recording.gait.pretension < fit.values[0]
     )
     slack, gain, time_constant = estimates(fit.values, refits, (slack_units, units, units))
     rounding = max(command_resolution(recording) for recording in recordings)
-    slack = _widened(slack, quantile(np.inf) * rounding / np.sqrt(12.0))
-    matrix, _ = normal_equations(problem, fit.solution)
+    # The new half-width is the root of the sum of both squares, because the errors are independent.
+    half = float(np.hypot(slack.spread, quantile(np.inf) * rounding / np.sqrt(12.0)))
+    slack = Estimate(slack.value, slack.value - half, slack.value + half)
+    matrix, _ = normal_equations(fit.problem, fit.solution)
     slack, gain, time_constant = (
         _checked(estimate, entry, float(matrix[entry, entry]))
         for entry, estimate in enumerate((slack, gain, time_constant))
     )
-    clocks = informative(
-        own_deviations(problem, fit.solution, actuation_fit.CLOCK), actuation_fit.CLOCK_SPREAD
-    )
-    return ActuationResult(slack, gain, time_constant, correlation(refits), fit, clocks)
+    return ActuationResult(slack, gain, time_constant, correlation(refits), fit)
 
 
 def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
@@ -110,7 +101,7 @@ def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
         return not_identifiable(estimate.value, NO_BEARING)
     if not bounds.low < estimate.value < bounds.high:
         return not_identifiable(estimate.value, AT_BOUND)
-    return if_identifiable(estimate, USUAL[entry])
+    return if_identifiable(estimate, actuation_fit.START[entry])
 
 
 def command_resolution(recording: Recording) -> float:
@@ -127,15 +118,6 @@ def command_resolution(recording: Recording) -> float:
     least = float(steps.min())
     whole = np.abs(steps / least - np.rint(steps / least))
     return least if float(whole.max()) < LEAST_FRACTION else 0.0
-
-
-def _widened(estimate: Estimate, half: float) -> Estimate:
-    """Return the estimate with its interval widened by an independent error.
-
-    ``half`` is the 95 % half-width of the error. The new half-width is the root of the sum of both squares.
-    """
-    added = float(np.hypot(estimate.spread, half))
-    return Estimate(estimate.value, estimate.value - added, estimate.value + added)
 
 
 def _units(recordings: Sequence[Recording]) -> list[NDArray[np.int64]]:

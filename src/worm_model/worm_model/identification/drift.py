@@ -8,7 +8,7 @@ Statistical Quality Control (chapters on Shewhart charts and on individual measu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -19,9 +19,6 @@ from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.parameters import ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
-# Smallest number of consecutive bags on one side of the parameter's interval that violates `Rule.ONE_SIDE`. If the
-# limits come from the bags, the mean of the bags replaces the interval.
-ONE_SIDE = 8
 # Smallest number of consecutive bags with rising values, or with falling values, that violates `Rule.MONOTONE`
 MONOTONE = 6
 SIGMAS = 3.0  # distance of a limit from the centre, in standard deviations
@@ -42,7 +39,6 @@ class Rule(StrEnum):
     """Rule of a control chart."""
 
     LIMIT = "beyond a control limit"
-    ONE_SIDE = f"at least {ONE_SIDE} in a row on one side"
     MONOTONE = f"at least {MONOTONE} in a row in one direction"
 
 
@@ -51,35 +47,16 @@ class Limits:
     """Control limits in the parameter's unit.
 
     Attributes:
-        low, high: control limits.
-        middle_low, middle_high: 95 % interval of the parameter in the parameter file. If the limits come from the bags,
-            both are the mean of the bags.
+        low, centre, high: control limits, and the value between them.
         resolution: half-width of a single bag's 95 % interval, median over the bags.
         source: origin of the limits, as text.
     """
 
     low: float
-    middle_low: float
-    middle_high: float
+    centre: float
     high: float
     resolution: float
     source: str
-
-    @property
-    def centre(self) -> float:
-        """Centre of the interval of the parameter."""
-        return 0.5 * (self.middle_low + self.middle_high)
-
-    @property
-    def mirrored(self) -> Limits:
-        """Limits that apply to the negated values."""
-        return replace(
-            self,
-            low=-self.high,
-            middle_low=-self.middle_high,
-            middle_high=-self.middle_low,
-            high=-self.low,
-        )
 
 
 @dataclass(frozen=True)
@@ -116,10 +93,8 @@ class Chart:
     def state(self) -> State:
         """State of the chart; a trending parameter may also be out of its limits."""
         rules = {signal.rule for signal in self.signals}
-        if rules - {Rule.LIMIT}:
-            return State.TRENDING
         if rules:
-            return State.OUT
+            return State.TRENDING if Rule.MONOTONE in rules else State.OUT
         if not np.isfinite(self.value).any():
             return State.NOT_IDENTIFIABLE
         return State.TOO_FEW if self.limits is None else State.WITHIN
@@ -132,10 +107,12 @@ class Chart:
         the latest ``direction`` count, back to the first one before which a bag without a violation lies.
         """
         moved = [signal for signal in self.signals if signal.direction == self.direction]
-        began: int | None = None
+        if not moved:
+            return None
+        began = max(moved, key=lambda signal: signal.last).first
         for signal in sorted(moved, key=lambda signal: -signal.last):
-            if began is None or signal.last >= began - 1:
-                began = signal.first if began is None else min(began, signal.first)
+            if signal.last >= began - 1:
+                began = min(began, signal.first)
         return began
 
     @property
@@ -154,22 +131,15 @@ def chart_of(key: str, estimates: Sequence[Estimate], known: ParameterFile) -> C
 
     The limits come from the parameter file if it has an interval for the key, else from the bags.
     """
-    rows = [(e.value, e.low, e.high) if e.identifiable else (np.nan,) * 3 for e in estimates]
-    value, low, high = np.array(rows, dtype=float).reshape(-1, 3).T
-    resolution = _resolution(0.5 * (high - low))
-    limits: Limits | None
+    value = np.array([e.value if e.identifiable else np.nan for e in estimates])
+    spreads = np.array([e.spread for e in estimates])
+    known_spreads = spreads[np.isfinite(spreads)]
+    resolution = float(np.median(known_spreads)) if known_spreads.size else 0.0
     if key in known.intervals:
-        limits = limits_of_file(known.intervals[key], resolution)
+        limits: Limits | None = limits_of_file(known.intervals[key], resolution)
     else:
         limits = limits_of_bags(value, resolution)
-    signals = () if limits is None else find_signals(value, limits)
-    return Chart(key, value, limits, signals)
-
-
-def _resolution(half: Array) -> float:
-    """Return the median half-width of the bags' 95 % intervals; 0 if none is finite."""
-    ends = half[np.isfinite(half)]
-    return float(np.median(ends)) if ends.size else 0.0
+    return Chart(key, value, limits, () if limits is None else find_signals(value, limits))
 
 
 def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
@@ -181,7 +151,7 @@ def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
     centre, half = 0.5 * (interval[0] + interval[1]), 0.5 * (interval[1] - interval[0])
     reach = SIGMAS / quantile(np.inf) * float(np.hypot(half, resolution))
     source = "the parameter file: its 95 % interval and the interval of a bag, at three standard deviations"
-    return Limits(centre - reach, interval[0], interval[1], centre + reach, resolution, source)
+    return Limits(centre - reach, centre, centre + reach, resolution, source)
 
 
 def limits_of_bags(value: Array, resolution: float) -> Limits | None:
@@ -200,40 +170,28 @@ def limits_of_bags(value: Array, resolution: float) -> Limits | None:
     if ranges < resolution:
         source += ", widened to the 95 % interval of a bag"
     reach = max(ranges, resolution)
-    return Limits(centre - reach, centre, centre, centre + reach, resolution, source)
+    return Limits(centre - reach, centre, centre + reach, resolution, source)
 
 
 def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
     """Return the violations of ``value`` (n,); NaN values are skipped.
 
-    A series of bags violates `Rule.MONOTONE` or `Rule.ONE_SIDE` only if its change exceeds the uncertainty that follows
-    from the resolution. The change of a monotone series is the difference between its last and its first value. The
-    change of a series on one side is the distance of its mean from the parameter's interval.
+    A series of bags violates `Rule.MONOTONE` only if the difference between its last and its first value exceeds the
+    uncertainty that follows from the resolution.
     """
     index = np.flatnonzero(np.isfinite(value))
     known = value[index]
     signals = []
-    for direction in (1, -1):
-        broken = _broken(direction * known, limits if direction > 0 else limits.mirrored)
-        signals += [Signal(rule, int(index[a]), int(index[b]), direction) for rule, a, b in broken]
+    for direction, limit in ((1, limits.high), (-1, limits.low)):
+        rows = [(Rule.LIMIT, a, b) for a, b in _stretches(direction * (known - limit) > 0.0, 1)]
+        rising = direction * np.diff(known)
+        rows += [
+            (Rule.MONOTONE, a, b + 1)
+            for a, b in _stretches(rising > 0.0, MONOTONE - 1)
+            if rising[a : b + 1].sum() > np.sqrt(2.0) * limits.resolution
+        ]
+        signals += [Signal(rule, int(index[a]), int(index[b]), direction) for rule, a, b in rows]
     return tuple(sorted(signals, key=lambda signal: (signal.first, signal.last)))
-
-
-def _broken(value: Array, limits: Limits) -> list[tuple[Rule, int, int]]:
-    """Return (rule, first, last) of each upward violation; ``first`` and ``last`` are indices of ``value``."""
-    monotone = [
-        (Rule.MONOTONE, a, b + 1)
-        for a, b in _stretches(np.diff(value) > 0.0, MONOTONE - 1)
-        if value[b + 1] - value[a] > np.sqrt(2.0) * limits.resolution
-    ]
-    beyond = [(Rule.LIMIT, a, b) for a, b in _stretches(value > limits.high, 1)]
-    above = value - limits.middle_high
-    one_side = [
-        (Rule.ONE_SIDE, a, b)
-        for a, b in _stretches(above > 0.0, ONE_SIDE)
-        if above[a : b + 1].mean() > limits.resolution / np.sqrt(b + 1 - a)
-    ]
-    return monotone + beyond + one_side
 
 
 def _stretches(broken: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:

@@ -16,23 +16,16 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.identification.fits import energy
-from worm_model.identification.fits.block_least_squares import (
-    evaluate,
-    informative,
-    own_deviations,
-    solve,
-)
+from worm_model.identification.fits.block_least_squares import solve
 from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import Traverse
-from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
+from worm_model.identification.fits.resampling import REFITS, correlation, estimates, unit_weights
 from worm_model.identification.locomotion_stage import LocomotionResult, holding_forces
-from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import Parameters
 
 # Smallest ratio of the highest to the lowest gait frequency that separates c_b from α_P
 LEAST_FREQUENCY_RATIO = 1.4
 FEWEST_RUNS = 2
-LEAST_SCATTER = 1e-6  # J, lower bound of the root mean square of a run's energy residuals
 NO_POWER = (
     "no run has power samples from the onset until the rear module has passed five ridges: record the power until the "
     "run ends"
@@ -53,8 +46,7 @@ class EnergyResult:
         inherited: for each estimate, the share of its variance that is due to the uncertainty of earlier stages and of
             given values; NaN if the estimates are not identifiable.
         fit: the fit with the nuisance parameters; c_b is the given value if the estimates are not identifiable.
-        clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
-            the offset.
+        runs: the fitted runs.
     """
 
     bellows_damping: Estimate
@@ -62,12 +54,16 @@ class EnergyResult:
     correlation: Array
     inherited: tuple[float, float]
     fit: energy.EnergyFit
-    clock_deviation: Array
+    runs: tuple[energy.PowerRun, ...]
+
+    def clock_offset(self, name: str) -> float:
+        """Return the clock offset of the power sensor in a run, s; NaN if unknown."""
+        names = [run.recording.name for run in self.runs]
+        return float(self.fit.clock_offset[names.index(name)]) if name in names else float("nan")
 
 
 def identify_energy(
     runs: Sequence[energy.PowerRun],
-    frequencies: Sequence[float],
     forces: Callable[[np.random.Generator], list[Array]],
     parameters: Parameters,
     random: np.random.Generator,
@@ -77,14 +73,13 @@ def identify_energy(
 
     Args:
         runs: the runs.
-        frequencies: gait frequency of each run, Hz.
         forces: function that draws the static forces (N) of all runs within their uncertainty. Each array has the
             times of `PowerRun.static_force`, continued to the end of the run.
         parameters: source of c_b if c_b is not identifiable, and of α_P if there are no runs.
         random: generator for the bootstrap.
         hindrance: reason why no interval of c_b and α_P would be valid; empty if there is no such reason.
     """
-    note = hindrance or _why_not(runs, frequencies)
+    note = hindrance or _why_not(runs)
     if note:
         return _given(runs, parameters, note)
     fit = energy.fit_energy(runs)
@@ -103,7 +98,7 @@ def identify_energy(
         samples = [energy.sample_weights(runs, weight) for weight in (weights[index], alike)]
         return np.array([solve(problem, start.shared, start.own, each).shared for each in samples])
 
-    both = refitted(refit)
+    both = np.array([refit(index) for index in range(REFITS)])
     refits = both[:, 0]
     inherited = both[:, 1].var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
@@ -112,21 +107,19 @@ def identify_energy(
     if vague:
         return _given(runs, parameters, NOT_SEPARATED.format(" and of ".join(vague)))
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
-    return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
+    return EnergyResult(damping, factor, correlation(refits), shares, fit, tuple(runs))
 
 
-def _why_not(runs: Sequence[energy.PowerRun], frequencies: Sequence[float]) -> str:
+def _why_not(runs: Sequence[energy.PowerRun]) -> str:
     if not runs:
         return NO_POWER
     if len(runs) < FEWEST_RUNS:
         return "one run cannot separate c_b from α_P; record gaits of several frequencies"
-    if max(frequencies) < LEAST_FREQUENCY_RATIO * min(frequencies):
-        frequency_range = " to ".join(
-            f"{f:g}" for f in sorted({min(frequencies), max(frequencies)})
-        )
-        return (
-            f"gaits of {frequency_range} Hz cannot separate c_b from α_P; record another frequency"
-        )
+    frequencies = {run.recording.gait.frequency for run in runs}
+    lowest, highest = min(frequencies), max(frequencies)
+    if highest < LEAST_FREQUENCY_RATIO * lowest:
+        named = f"{lowest:g}" if lowest == highest else f"{lowest:g} to {highest:g}"
+        return f"gaits of {named} Hz cannot separate c_b from α_P; record another frequency"
     return ""
 
 
@@ -144,47 +137,8 @@ def _given(runs: Sequence[energy.PowerRun], parameters: Parameters, note: str) -
         np.full((2, 2), nothing),
         (nothing, nothing),
         fit,
-        _clocks(runs, fit),
+        tuple(runs),
     )
-
-
-def _clocks(runs: Sequence[energy.PowerRun], fit: energy.EnergyFit) -> Array:
-    """Return the standard deviations (s) of the clock offsets, due to the residuals and the uncertain idle power.
-
-    The entry of a run is NaN if the data do not determine its offset.
-    """
-    if not runs:
-        return np.empty(0)
-    scatter = np.maximum([np.sqrt(np.mean(r**2)) for r in fit.residuals], LEAST_SCATTER)
-    weights = [
-        np.full(run.power_time.size, energy.INDEPENDENT / run.power_time.size / own**2)
-        for run, own in zip(runs, scatter, strict=True)
-    ]
-    problem = energy.energy_problem(runs, scale=1.0)
-    solution = evaluate(problem, fit.solution.shared, fit.solution.own)
-    idle = np.array([run.idle for run in runs])
-    idle_deviation = float(idle.std(ddof=1)) if idle.size > 1 else 0.0
-    by_idle = [
-        _shift_by_idle(run, fit, offset) for run, offset in zip(runs, fit.clock_offset, strict=True)
-    ]
-    return informative(
-        np.hypot(own_deviations(problem, solution, 0, weights), idle_deviation * np.array(by_idle)),
-        energy.CLOCK_SPREAD,
-    )
-
-
-def _shift_by_idle(run: energy.PowerRun, fit: energy.EnergyFit, offset: float) -> float:
-    """Return the absolute error of the fitted clock offset that an error of 1 W in the idle power causes, s/W.
-
-    An error of the idle power adds a ramp to the energy, which resembles the effect of a clock offset.
-    """
-    sides = [
-        energy.predicted_energy(run, fit.damping, fit.factor, offset + half)
-        for half in (-5e-4, 5e-4)
-    ]
-    by_offset = (sides[1] - sides[0]) / 1e-3
-    ramp = run.power_time - run.power_time[0]
-    return abs(float(by_offset @ ramp)) / max(float(by_offset @ by_offset), 1e-12)
 
 
 @dataclass(frozen=True)
@@ -194,50 +148,40 @@ class Forces:
     Attributes:
         holding: H (N) by fit and run. The first fit is the best one. In each further fit, η or a combination of
             the fin parameters is one standard deviation away from its best value.
+        initial_length: L0 of each run, m.
         change: ΔL of each run, m.
-        initial_length: L0 of each run, m, shape (runs,).
-        stiffness, stiffness_deviation: k_b with standard deviation, N/m.
-        free_length, free_length_deviation: L_free with standard deviation, m.
+        stiffness, free_length: k_b (N/m) and L_free (m), each with its standard deviation.
     """
 
     holding: tuple[tuple[Array, ...], ...]
-    change: tuple[Array, ...]
     initial_length: Array
-    stiffness: float
-    stiffness_deviation: float
-    free_length: float
-    free_length_deviation: float
-
-    def of(self, indices: Sequence[int]) -> Forces:
-        """Return the forces of the runs with given indices."""
-        return replace(
-            self,
-            holding=tuple(tuple(fit[index] for index in indices) for fit in self.holding),
-            change=tuple(self.change[index] for index in indices),
-            initial_length=self.initial_length[list(indices)],
-        )
+    change: tuple[Array, ...]
+    stiffness: tuple[float, float]
+    free_length: tuple[float, float]
 
     @property
     def best(self) -> list[Array]:
         """Forces of each run for the best fit, N."""
-        return self._force(list(self.holding[0]), self.stiffness, self.free_length)
+        return self._forces(self.holding[0], self.stiffness[0], self.free_length[0])
 
     def draw(self, random: np.random.Generator) -> list[Array]:
         """Return the forces (N) of each run for a random draw of H, k_b and L_free within their uncertainty."""
-        size = random.standard_normal(len(self.holding) - 1)
+        best, *others = self.holding
+        size = random.standard_normal(len(others))
         holding = [
-            best
-            + sum(
-                (z * (other[run] - best) for z, other in zip(size, self.holding[1:], strict=True)),
-                0.0,
-            )
-            for run, best in enumerate(self.holding[0])
+            held
+            + sum((z * (other[run] - held) for z, other in zip(size, others, strict=True)), 0.0)
+            for run, held in enumerate(best)
         ]
-        stiffness = self.stiffness + self.stiffness_deviation * random.standard_normal()
-        free_length = self.free_length + self.free_length_deviation * random.standard_normal()
-        return self._force(holding, stiffness, free_length)
+        stiffness, free_length = (
+            value + deviation * random.standard_normal()
+            for value, deviation in (self.stiffness, self.free_length)
+        )
+        return self._forces(holding, stiffness, free_length)
 
-    def _force(self, holding: list[Array], stiffness: float, free_length: float) -> list[Array]:
+    def _forces(
+        self, holding: Sequence[Array], stiffness: float, free_length: float
+    ) -> list[Array]:
         return [
             force + stiffness * (free_length - initial - change)
             for force, initial, change in zip(
@@ -248,21 +192,17 @@ class Forces:
 
 def forces_of(
     traverses: Sequence[Traverse],
-    parameters: Parameters,
+    rows: Sequence[int],
     locomotion: LocomotionResult,
     stiffness: Estimate,
-    reference: ReferenceValues,
+    free_length: Estimate,
 ) -> Forces:
-    """Return the forces from the locomotion fit, the bellows' ``stiffness`` and the reference values."""
-    fits = [(parameters, locomotion.fit), *locomotion.variants, (parameters, locomotion.stiffer)]
-    holding = tuple(holding_forces(traverses, values, fit) for values, fit in fits)
-    free_length = reference.estimate("unstressed_length")
+    """Return the forces of the runs with the indices ``rows`` of all ``traverses`` of the locomotion fit."""
+    fits = (locomotion.fit, *locomotion.variants, locomotion.stiffer)
     return Forces(
-        holding=holding,
-        change=tuple(traverse.length.length_change for traverse in traverses),
-        initial_length=locomotion.initial_length,
-        stiffness=parameters.bellows_stiffness,
-        stiffness_deviation=np.nan_to_num(stiffness.spread) / quantile(np.inf),
-        free_length=free_length.value,
-        free_length_deviation=free_length.spread / quantile(np.inf),
+        holding=tuple(holding_forces(traverses, rows, fit) for fit in fits),
+        initial_length=locomotion.initial_length[list(rows)],
+        change=tuple(traverses[row].length.length_change for row in rows),
+        stiffness=(stiffness.value, np.nan_to_num(stiffness.spread) / quantile(np.inf)),
+        free_length=(free_length.value, free_length.spread / quantile(np.inf)),
     )

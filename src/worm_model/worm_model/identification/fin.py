@@ -79,7 +79,7 @@ def _force(values: Array, x: Array) -> Array:
     )
 
 
-def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
+def fit_fin(displacement: Array, force: Array) -> FinFit:
     """Fit the piecewise linear force by robust least squares.
 
     As in the paper, the centre of the clearance is the zero of the test. It is fitted only if it differs significantly
@@ -88,7 +88,6 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
     Args:
         displacement: m, shape (n,).
         force: N, shape (n,).
-        engages: sign of the displacement that engages, −1 or +1; 0 detects it.
     """
     known = np.isfinite(displacement) & np.isfinite(force)
     x, y = displacement[known], force[known]
@@ -103,7 +102,7 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
     if abs(values[3]) <= SIGNIFICANT * np.sqrt(covariance[3, 3]):
         free = [0, 1, 2]
         values, covariance = line.fit(np.array([*values[:3], 0.0]), free)
-    side = engages or _engaging_side(values)
+    side = _engaging_side(values)
     order = [0, 1, 2] if side < 0 else [0, 2, 1]
     clearance, engaged, disengaged = (line.interval(values, covariance, k, free) for k in order)
     return FinFit(
@@ -124,8 +123,8 @@ def _engaging_side(values: Array) -> int:
         raise IdentificationError("fin test: no force beyond the clearance on one of its sides")
     if max(below / above, above / below) < ANISOTROPY:
         raise IdentificationError(
-            f"fin test: {below:.0f} N/m below 0 and {above:.0f} N/m above do not show which side engages; "
-            "set it with --fin-engages"
+            f"fin test: {below:.0f} N/m below 0 and {above:.0f} N/m above do not show which side engages; repeat it "
+            "farther beyond the clearance"
         )
     return -1 if below > above else 1
 

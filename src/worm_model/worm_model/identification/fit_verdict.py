@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
-from typing import Any
+from enum import StrEnum
 
 import numpy as np
 
@@ -41,7 +40,7 @@ SCATTER = (
 )  # standard deviations between grooves, m of the threshold and relative of the stiffness
 
 
-class Verdict(Enum):
+class Verdict(StrEnum):
     """How well the model describes the robot."""
 
     FITS = "fits"
@@ -58,47 +57,36 @@ SENTENCES = {
 
 @dataclass(frozen=True)
 class FitVerdict:
-    """Verdict with the facts that it follows from.
+    """Verdict with the facts that it follows from; machine-readable output has the same names.
 
     Attributes:
         verdict: the verdict.
         causes: possible causes, each with what was measured.
         inflation: factor on the variances of stage 4, see `LocomotionResult`.
-        groove_scatter: standard deviation of the threshold between grooves, m.
-        x1_held_out, x1_paper: medians over the runs of the error of x1 with the parameters from the other runs and with
-            the paper's table, m; NaN with one run.
+        groove_scatter_m: standard deviation of the threshold between grooves, m.
+        x1_held_out_m, x1_paper_m: medians over the runs of the error of x1, m, with the parameters from the other runs
+            and with the paper's table; NaN with one run.
     """
 
     verdict: Verdict
     causes: tuple[str, ...]
     inflation: float
-    groove_scatter: float
-    x1_held_out: float
-    x1_paper: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the verdict for machine-readable output."""
-        return {
-            "verdict": self.verdict.value,
-            "causes": list(self.causes),
-            "inflation": self.inflation,
-            "groove_scatter_m": self.groove_scatter,
-            "x1_held_out_m": self.x1_held_out,
-            "x1_paper_m": self.x1_paper,
-        }
+    groove_scatter_m: float
+    x1_held_out_m: float
+    x1_paper_m: float
 
     @property
     def text(self) -> str:
         """The verdict as a paragraph, followed by a list of the causes."""
         x1 = "unknown, as it needs at least two runs"
-        if np.isfinite(self.x1_held_out):
+        if np.isfinite(self.x1_held_out_m):
             x1 = (
-                f"{1e3 * self.x1_held_out:.2f} mm (median of the runs; with the paper's table "
-                f"{1e3 * self.x1_paper:.2f} mm)"
+                f"{1e3 * self.x1_held_out_m:.2f} mm (median of the runs; with the paper's table "
+                f"{1e3 * self.x1_paper_m:.2f} mm)"
             )
         facts = (
             f"Held-out error of x1: {x1}. Residuals increase the variances by a factor of {self.inflation:.1f}. The "
-            f"threshold varies by {1e3 * self.groove_scatter:.2f} mm from groove to groove."
+            f"threshold varies by {1e3 * self.groove_scatter_m:.2f} mm from groove to groove."
         )
         return "\n".join([f"{SENTENCES[self.verdict]} {facts}", *(f"- {c}" for c in self.causes)])
 

@@ -12,12 +12,10 @@ from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.actuation_fit import ActuationFit, fit_actuation
 from worm_model.identification.fits.block_least_squares import of_runs, remembering, solve
-from worm_model.identification.fits.energy import PowerRun, fit_energy
+from worm_model.identification.fits.energy import fit_energy
 from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
-from worm_model.identification.fits.groove_scatter import groove_problem
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.fits.locomotion import Known
-from worm_model.identification.fits.run_prediction import Errors, errors, predict
+from worm_model.identification.fits.run_prediction import Errors, run_errors
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion_stage import ONSET, LocomotionResult
 from worm_model.identification.run_selection import FittedRun
@@ -33,19 +31,11 @@ REMEMBERED = 4096
 FEWEST = 2  # smallest number of runs for leaving one out
 
 
-def run_errors(run: FittedRun, parameters: Parameters, clock_offset: float) -> Errors:
-    """Return the errors of one run. ``clock_offset`` (s) is positive if the camera's stamps are early."""
-    prediction = predict(run.recording, run.traverse, parameters, clock_offset)
-    return errors(run.recording, run.traverse, prediction)
-
-
 def leave_one_out(
     runs: Sequence[FittedRun],
-    known: Known,
     parameters: Parameters,
     locomotion: LocomotionResult,
     actuation: ActuationFit,
-    power_runs: Sequence[PowerRun],
     energy: EnergyResult,
 ) -> tuple[dict[str, Errors], dict[str, Errors]]:
     """Return the errors of each run with the parameters fitted to the other runs, and with the paper's table, by name.
@@ -64,35 +54,31 @@ def leave_one_out(
         offset = float(actuation.clock_offset.mean())
         return {}, {run.name: run_errors(run, PAPER, offset) for run in runs}
     damping = None if energy.bellows_damping.identifiable else energy.fit.damping
-    by_name = {run.name: run for run in power_runs}
-    fit = locomotion.fit
-    traverses = [run.traverse for run in runs]
-    problem = remembering(groove_problem(traverses, known, fit.places, fit.scatter), REMEMBERED)
-
-    def left_out(index: int) -> tuple[Errors, Errors]:
-        others = [k for k in range(len(runs)) if k != index]
-        own = fit.solution.own[others]
-        other_motion = solve(
-            of_runs(problem, others), fit.solution.shared, own, iterations=ITERATIONS
+    solution = locomotion.fit.solution
+    problem = remembering(locomotion.fit.problem, REMEMBERED)
+    held_out, paper = {}, {}
+    for index, run in enumerate(runs):
+        rows = [k for k in range(len(runs)) if k != index]
+        others = [runs[k] for k in rows]
+        motion = solve(
+            of_runs(problem, rows), solution.shared, solution.own[rows], iterations=ITERATIONS
         )
-        other_actuation = fit_actuation([runs[k].recording for k in others])
+        other_actuation = fit_actuation([other.recording for other in others])
         values = parameters.replace(
-            **dict(zip(LOCOMOTION[:ONSET], other_motion.shared[:ONSET], strict=True)),
-            **{key: getattr(other_actuation, key) for key in ACTUATION},
+            **dict(zip(LOCOMOTION[:ONSET], motion.shared[:ONSET], strict=True)),
+            **dict(zip(ACTUATION, other_actuation.values.tolist(), strict=True)),
         )
-        idle = idle_power([runs[k].idle for k in others])
+        idle = idle_power([other.idle for other in others])
         if idle is not None:
             values = values.replace(idle_power=idle.value)
-        powered = [by_name[runs[k].name] for k in others if runs[k].name in by_name]
+        powered = [other for other in energy.runs if other.recording.name != run.name]
         if powered:
             fitted = fit_energy(powered, damping=damping)
             values = values.replace(bellows_damping=fitted.damping, power_factor=fitted.factor)
         offset = float(other_actuation.clock_offset.mean())
-        return run_errors(runs[index], values, offset), run_errors(runs[index], PAPER, offset)
-
-    held_out, paper = zip(*map(left_out, range(len(runs))), strict=True)
-    names = [run.name for run in runs]
-    return dict(zip(names, held_out, strict=True)), dict(zip(names, paper, strict=True))
+        held_out[run.name] = run_errors(run, values, offset)
+        paper[run.name] = run_errors(run, PAPER, offset)
+    return held_out, paper
 
 
 NOT_MEASURED = "the tracker shows the switches of a fin in too few cycles"

@@ -25,14 +25,7 @@ from worm_msgs.conditions import LEVEL
 
 RUN_FILE = "camera.csv"  # a folder with this file is a run of a lab
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
-# Settings without given values. Onset, spool radius and L0 are estimated, see `LabSettings`.
-LOGS = LabSettings()
-TOPICS = (
-    "body_length/commanded",
-    "tracker",
-    "power",
-    "gait_state",
-)
+TOPICS = ("body_length/commanded", "tracker", "power", "gait_state")
 SEVERAL_LABS = (
     "runs of several folders ({}): their README.md and bench tests are not used; give --parameters, --bellows "
     "and --fin"
@@ -67,7 +60,6 @@ def read_inputs(
     paths: Sequence[Path],
     bellows_file: Path | None = None,
     fin_file: Path | None = None,
-    logs: LabSettings = LOGS,
 ) -> Inputs:
     """Read bags and folders or runs of a lab.
 
@@ -76,28 +68,24 @@ def read_inputs(
     Args:
         paths: bags, folders of a lab or single runs of it.
         bellows_file, fin_file: bench tests.
-        logs: settings that the lab's logs do not contain.
 
     Raises:
         IdentificationError: A file is missing or invalid, or two runs have the same name.
         BagError: A bag cannot be read.
     """
-    recordings = tuple(read_recordings(paths, logs))
+    recordings = tuple(read_recordings(paths))
     _check_names(recordings)
-    labs = sorted({_lab_of(path) for path in paths if is_lab_folder(path)})
+    labs = sorted({_lab_of(path) for path in paths if run_folders(path)})
     folder = labs[0] if len(labs) == 1 else None
-    if folder is not None:
-        bellows_file = bellows_file or _existing(folder / BELLOWS_FILE)
-        fin_file = fin_file or _existing(folder / FIN_FILE)
+    remarks = _grouped_remarks(recordings)
+    if len(labs) > 1:
+        remarks.insert(0, SEVERAL_LABS.format(", ".join(lab.name for lab in labs)))
     return Inputs(
         recordings,
-        read_bench_test(bellows_file, bellows.COLUMNS) if bellows_file else None,
-        read_bench_test(fin_file, fin.COLUMNS) if fin_file else None,
+        _bench_test(bellows_file, folder, BELLOWS_FILE, bellows.COLUMNS),
+        _bench_test(fin_file, folder, FIN_FILE, fin.COLUMNS),
         folder,
-        (
-            *([SEVERAL_LABS.format(", ".join(lab.name for lab in labs))] if len(labs) > 1 else []),
-            *_grouped_remarks(recordings),
-        ),
+        tuple(remarks),
     )
 
 
@@ -114,12 +102,12 @@ def _grouped_remarks(recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def read_recordings(paths: Sequence[Path], logs: LabSettings = LOGS) -> list[Recording]:
+def read_recordings(paths: Sequence[Path]) -> list[Recording]:
     """Read all runs in bags and in a lab's folders; each path may contain several runs."""
-    recordings = []
+    recordings: list[Recording] = []
     for path in paths:
-        if is_lab_folder(path):
-            recordings += [read_lab_recording(run, logs) for run in run_folders(path)]
+        if runs := run_folders(path):
+            recordings += map(read_lab_recording, runs)
         else:
             recordings += read_bag(path)
     return recordings
@@ -131,16 +119,11 @@ def _lab_of(path: Path) -> Path:
     return folder.parent if (folder / RUN_FILE).is_file() else folder
 
 
-def is_lab_folder(path: Path) -> bool:
-    """Return True if a path is a lab's folder, which contains runs, or the folder of a single run of a lab."""
-    return path.is_dir() and bool(run_folders(path))
-
-
-def run_folders(folder: Path) -> list[Path]:
-    """Return the folders of a lab's runs, ordered by name; the folder itself if it is a run."""
-    if (folder / RUN_FILE).is_file():
-        return [folder]
-    return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
+def run_folders(path: Path) -> list[Path]:
+    """Return the folders of the runs in a lab's folder, ordered by name; the folder itself if it is a run."""
+    if (path / RUN_FILE).is_file():
+        return [path]
+    return sorted(file.parent for file in path.glob(f"*/{RUN_FILE}"))
 
 
 def read_bag(path: Path) -> tuple[Recording, ...]:
@@ -157,18 +140,18 @@ def read_bag(path: Path) -> tuple[Recording, ...]:
     return recordings_of(run, path.resolve().name, checksums_of(path), utc_of(start))
 
 
-def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
-    """Read a run of a lab from the run's folder.
+def read_lab_recording(folder: Path) -> Recording:
+    """Read a run of a lab from the run's folder. Onset, spool radius and L0 are estimated, see `LabSettings`.
 
     Raises `IdentificationError` if a file is missing or invalid, or if the run's gait is unknown.
     """
-    lab = read_lab_run(folder, logs)
+    lab = read_lab_run(folder, LabSettings())
     if lab.gait is None:
         raise IdentificationError(
             f"{folder}: the gait is unknown; add a runs.json with stroke_m and frequency_Hz of each run"
         )
     recording = recordings_of(lab.run, folder.resolve().name, lab.checksums)[0]
-    return replace(recording, remarks=(*lab.transmission.remarks, *recording.remarks))
+    return replace(recording, remarks=(*lab.remarks, *recording.remarks))
 
 
 def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
@@ -177,8 +160,13 @@ def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
     return BenchTest(table[columns[0]], table[columns[1]], sha256_of(path))
 
 
-def _existing(path: Path) -> Path | None:
-    return path if path.is_file() else None
+def _bench_test(
+    given: Path | None, lab: Path | None, name: str, columns: tuple[str, str]
+) -> BenchTest | None:
+    """Return the given bench test, otherwise that of a lab's folder; None without either."""
+    if given is None and lab is not None and (lab / name).is_file():
+        given = lab / name
+    return None if given is None else read_bench_test(given, columns)
 
 
 def _check_names(recordings: Sequence[Recording]) -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
+from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.block_least_squares import (
     Solution,
@@ -39,12 +40,11 @@ from worm_model.identification.fits.groove_scatter import (
     groove_problem,
     held,
 )
-from worm_model.parameters import PAPER, Parameters
+from worm_model.parameters import PAPER
 from worm_model.simulation.kernel.grooves import STIFFNESS, THRESHOLD
 from worm_model.simulation.kernel.march import FORCE
 
 Progress = Callable[[float], None]
-Variants = tuple[tuple[Parameters, GrooveFit], ...]
 
 FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of `GrooveFit.means`
 USUAL_DRY = 0.3  # N, viscous friction of the paper's robot at 3.5 mm/s; see `if_identifiable`
@@ -74,33 +74,17 @@ UNEXPLAINED = (
 
 
 @dataclass(frozen=True)
-class FinKnowledge:
-    """Fin parameters and their uncertainty.
-
-    ``values`` (3,) are clearance (m), engaged and disengaged stiffness (N/m). ``covariance`` is that of the three
-    values, shape (3, 3).
-    """
-
-    values: Array
-    covariance: Array
-
-
-@dataclass(frozen=True)
 class LocomotionResult:
     """Result of stage 4.
 
     Attributes:
-        viscous_friction, switching_threshold, pitch: estimates, N·s/m, m and m.
-        dry_friction: estimates for the rear and the front module, N.
-        onset: how the modules share the first rate of ΔL, see `simulation.kernel.whole_run.run_from_rest`.
-        initial_length: L0 of each run, m, shape (runs,).
+        viscous_friction, switching_threshold: estimates, N·s/m and m.
+        rear_dry_friction, front_dry_friction, pitch: estimates, N, N and m.
         inflation: factor by which large or correlated residuals increase the variances, see `variance_inflation`.
         correlation: correlation of (η, p_sw, rear and front dry friction, pitch, onset), shape (6, 6).
-        landscape: J_loc on the grid of the search.
         fit: the fit with all nuisance parameters.
-        variants: pairs of parameters with changed fin values and the fit with these parameters. There is one pair for
-            each independent direction of the fin values' covariance, with a change of one standard deviation. Empty
-            if the covariance is unknown.
+        variants: fits with changed fin values. There is one for each independent direction of the fin values'
+            covariance, with a change of one standard deviation. Empty if the covariance is unknown.
         stiffer: fit with η fixed one standard deviation above its estimate.
         without_dry_friction: (η, p_sw) of a local fit without dry friction, which starts from the best fit with even
             grooves and has its pitch and onset. Unlike in the paper's J_loc, large residuals have less weight (Huber),
@@ -110,100 +94,100 @@ class LocomotionResult:
 
     viscous_friction: Estimate
     switching_threshold: Estimate
+    rear_dry_friction: Estimate
+    front_dry_friction: Estimate
     pitch: Estimate
-    dry_friction: tuple[Estimate, Estimate]
-    onset: float
-    initial_length: Array
     inflation: float
     correlation: Array
-    landscape: locomotion.Landscape
     fit: GrooveFit
-    variants: Variants
+    variants: tuple[GrooveFit, ...]
     stiffer: GrooveFit
     without_dry_friction: tuple[float, float]
-    trouble: str = ""
+    trouble: str
+
+    @property
+    def onset(self) -> float:
+        """How the modules share the first rate of ΔL, see `simulation.kernel.whole_run.run_from_rest`."""
+        return float(self.fit.means[ONSET])
+
+    @property
+    def initial_length(self) -> Array:
+        """L0 of each run, m, shape (runs,)."""
+        return self.fit.solution.own[:, 0]
 
 
 def identify_locomotion(
     traverses: Sequence[locomotion.Traverse],
     known: locomotion.Known,
-    fin: FinKnowledge | None = None,
+    fin_covariance: Array | None = None,
     progress: Progress = lambda _: None,
 ) -> LocomotionResult:
     """Estimate η, p_sw, the dry friction of both modules and the pitch from all runs.
 
-    ``known`` contains the given parameters and the uncertainty of the given pitch. ``fin`` contains the uncertainty of
-    the fin parameters. Without ``fin``, the intervals are valid only for exact fin parameters. If no fit explains the
-    motion, or if the profiles repeatedly find a better fit, the estimates are not identifiable.
+    ``known`` contains the given parameters and the uncertainty of the given pitch. ``fin_covariance`` (3, 3) is that of
+    clearance (m), engaged and disengaged stiffness (N/m). Without it, the intervals are valid only for exact fin
+    parameters. If no fit explains the motion, or if the profiles repeatedly find a better fit, the estimates are not
+    identifiable.
     """
-    landscape = locomotion.search(traverses, known, lambda done: progress(0.3 * done))
-    start = locomotion.find_locomotion(traverses, known, landscape)
+    valleys = locomotion.search(traverses, known, lambda done: progress(0.3 * done))
+    start = locomotion.find_locomotion(traverses, known, valleys)
     if locomotion.is_lost(start):
-        return _unexplained(traverses, known, landscape)
+        return _unexplained(traverses, known)
     plain = _without_dry_friction(traverses, known, start)
     fit = fit_grooves(traverses, known, start)
     progress(0.5)
     intervals: list[tuple[float, float]] = []
     for _ in range(MOST_RESTARTS):
-        inflation = variance_inflation(traverses, fit.solution)
-        intervals, better = _profiles(traverses, known, fit, inflation)
+        inflation = variance_inflation(fit.solution)
+        intervals, better = _profiles(fit, inflation)
         if better is None:
             break
         fit = replace(fit, solution=better)
     trouble = "" if intervals else UNSETTLED
     progress(0.9)
-    variants = _variants(traverses, known, fit, fin)
-    matrix, _ = normal_equations(
-        groove_problem(traverses, known, fit.places, fit.scatter), fit.solution
-    )
+    variants = _variants(traverses, known, fit, fin_covariance)
+    matrix, _ = normal_equations(fit.problem, fit.solution)
     covariance = inverse(matrix)[:MEANS, :MEANS] * inflation
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     friction, threshold, pitch = (
         _estimate(fit, entry, interval, variants)
         for entry, interval in zip(SOUGHT, intervals or [(-np.inf, np.inf)] * 3, strict=True)
     )
+    one_deviation = friction.spread / NORMAL if np.isfinite(friction.spread) else 0.0
+    stiffer = held(fit, FRICTION, float(fit.means[FRICTION]) + one_deviation)
     progress(1.0)
     return LocomotionResult(
         viscous_friction=if_identifiable(friction, PAPER.viscous_friction, trouble),
         switching_threshold=if_identifiable(threshold, PAPER.switching_threshold, trouble),
+        rear_dry_friction=_dry_estimate(fit, REAR_DRY, deviation[REAR_DRY], variants),
+        front_dry_friction=_dry_estimate(fit, FRONT_DRY, deviation[FRONT_DRY], variants),
         pitch=if_identifiable(pitch, note=trouble),
-        dry_friction=(
-            _dry_estimate(fit, REAR_DRY, deviation[REAR_DRY], variants),
-            _dry_estimate(fit, FRONT_DRY, deviation[FRONT_DRY], variants),
-        ),
-        onset=float(fit.means[ONSET]),
-        initial_length=fit.solution.own[:, 0],
         inflation=inflation,
         correlation=covariance / np.outer(deviation, deviation),
-        landscape=landscape,
         fit=fit,
         variants=variants,
-        stiffer=_stiffer(traverses, known, fit, friction),
+        stiffer=replace(fit, solution=stiffer),
         without_dry_friction=(float(plain[0]), float(plain[1])),
         trouble=trouble,
     )
 
 
 def _unexplained(
-    traverses: Sequence[locomotion.Traverse],
-    known: locomotion.Known,
-    landscape: locomotion.Landscape,
+    traverses: Sequence[locomotion.Traverse], known: locomotion.Known
 ) -> LocomotionResult:
     """Return the result of runs that no friction and threshold explain, with the given values."""
     fit = given_fit(traverses, known)
-    friction, threshold, rear, front, pitch = (
+    friction, threshold, rear_dry, front_dry, pitch = (
         not_identifiable(float(value), UNEXPLAINED) for value in fit.means[:ONSET]
     )
     return LocomotionResult(
-        viscous_friction=friction,
-        switching_threshold=threshold,
-        pitch=pitch,
-        dry_friction=(rear, front),
-        onset=float(fit.means[ONSET]),
-        initial_length=fit.solution.own[:, 0],
+        friction,
+        threshold,
+        rear_dry,
+        front_dry,
+        pitch,
         inflation=float("inf"),
         correlation=np.full((MEANS, MEANS), np.nan),
-        landscape=landscape,
         fit=fit,
         variants=(),
         stiffer=fit,
@@ -212,7 +196,9 @@ def _unexplained(
     )
 
 
-def _dry_estimate(fit: GrooveFit, entry: int, deviation: float, variants: Variants) -> Estimate:
+def _dry_estimate(
+    fit: GrooveFit, entry: int, deviation: float, variants: Sequence[GrooveFit]
+) -> Estimate:
     """Return the estimate of a dry friction.
 
     Its interval follows from the curvature of the cost and the fin test's uncertainty, and does not extend below 0.
@@ -222,29 +208,30 @@ def _dry_estimate(fit: GrooveFit, entry: int, deviation: float, variants: Varian
     return if_identifiable(Estimate(value, max(value - reach, 0.0), value + reach), USUAL_DRY)
 
 
-def _from_reference(fit: GrooveFit, entry: int, variants: Variants) -> float:
+def _from_reference(fit: GrooveFit, entry: int, variants: Sequence[GrooveFit]) -> float:
     """Return the 95 % half-width of a mean that is due to the fin test's uncertainty, in the mean's unit."""
-    changes = [other.means[entry] - fit.means[entry] for _, other in variants]
-    return NORMAL * float(np.linalg.norm(changes))
+    return NORMAL * float(np.linalg.norm([v.means[entry] - fit.means[entry] for v in variants]))
 
 
 def holding_forces(
-    traverses: Sequence[locomotion.Traverse], parameters: Parameters, fit: GrooveFit
+    traverses: Sequence[locomotion.Traverse], rows: Sequence[int], fit: GrooveFit
 ) -> tuple[Array, ...]:
-    """Return the force H of each run, in N, at the times of the run's measured length, shape (n,).
+    """Return the force H of the runs ``rows``, in N, at the times of each run's measured length, shape (n,).
 
     For H see `worm_model.identification.fits.energy`.
     """
     forces = []
-    for traverse, own in zip(traverses, fit.solution.own, strict=True):
-        worm = locomotion.with_means(locomotion.worm_of(parameters), fit.means, own)
-        samples = locomotion.follow(traverse, worm, traverse.length.time, *fit.tables)
+    robot = locomotion.worm_of(fit.parameters)
+    for row in rows:
+        worm = locomotion.with_means(robot, fit.means, fit.solution.own[row])
+        times = traverses[row].length.time
+        samples = locomotion.follow(traverses[row], worm, times, *fit.tables)
         assert samples is not None, "the fitted motion switches endlessly"
         forces.append(samples[:, FORCE])
     return tuple(forces)
 
 
-def variance_inflation(traverses: Sequence[locomotion.Traverse], solution: Solution) -> float:
+def variance_inflation(solution: Solution) -> float:
     """Return the factor by which large or correlated residuals increase the variances of a fit, at least 1."""
     power, memory = 0.0, 0.0
     for residuals in solution.residuals:
@@ -252,34 +239,30 @@ def variance_inflation(traverses: Sequence[locomotion.Traverse], solution: Solut
         power += float(np.sum(r * r))
         for lag in range(1, min(LONGEST_MEMORY, r.size)):
             memory += 2.0 * float(np.sum(r[lag:] * r[:-lag])) * (1.0 - lag / LONGEST_MEMORY)
-    count = sum(t.time.size for t in traverses)
+    count = sum(residuals.size for residuals in solution.residuals)
     return max(1.0, power / count * (1.0 + memory / power))
 
 
 def _profiles(
-    traverses: Sequence[locomotion.Traverse],
-    known: locomotion.Known,
-    fit: GrooveFit,
-    inflation: float,
+    fit: GrooveFit, inflation: float
 ) -> tuple[list[tuple[float, float]], Solution | None]:
     """Return the interval (low, high) of each mean of `SOUGHT`, and None.
 
     If a profile finds a solution with a lower cost, the result is an empty list and this solution.
     """
     rise = NORMAL**2 * inflation
-    quantities = locomotion.shared_quantities(known)
     met: list[Solution] = []
 
     def end(entry: int, sign: float) -> float:
         def cost(value: float) -> float:
-            solution = held(traverses, known, fit, entry, value)
+            solution = held(fit, entry, value)
             if solution.cost < fit.solution.cost - BETTER * inflation:
                 met.append(solution)
                 return rise  # end the search: the fit restarts from this solution
             return max(solution.cost - fit.solution.cost, 0.0)
 
         guess = NORMAL * _scattered(fit, entry) + FIRST_REACH[entry]
-        value, bound = float(fit.means[entry]), quantities[entry]
+        value, bound = float(fit.means[entry]), fit.problem.shared[entry]
         reach = abs((bound.high if sign > 0.0 else bound.low) - value)
         return follow_profile(cost, value, rise, sign * guess, reach)
 
@@ -288,8 +271,7 @@ def _profiles(
         ends.append((end(entry, -1.0), end(entry, 1.0)))
         if met:
             best = min(met, key=lambda solution: solution.cost)
-            problem = groove_problem(traverses, known, fit.places, fit.scatter)
-            return [], solve(problem, best.shared, best.own)
+            return [], solve(fit.problem, best.shared, best.own)
     return ends, None
 
 
@@ -300,14 +282,14 @@ def _scattered(fit: GrooveFit, entry: int) -> float:
     column = SCATTERED[entry]
     count = max(int(np.sum(fit.places[:, 2] == column)), 1)
     unit = float(fit.means[FRICTION]) if entry == FRICTION else 1.0
-    return unit * fit.scatter.of(column) / float(np.sqrt(count))
+    return unit * fit.scatter[column] / float(np.sqrt(count))
 
 
 def _estimate(
     fit: GrooveFit,
     entry: int,
     interval: tuple[float, float],
-    variants: Variants,
+    variants: Sequence[GrooveFit],
 ) -> Estimate:
     """Return the estimate of a mean from the ``interval`` of its profile.
 
@@ -329,23 +311,21 @@ def _variants(
     traverses: Sequence[locomotion.Traverse],
     known: locomotion.Known,
     fit: GrooveFit,
-    fin: FinKnowledge | None,
-) -> Variants:
-    if fin is None:
+    fin_covariance: Array | None,
+) -> tuple[GrooveFit, ...]:
+    if fin_covariance is None:
         return ()
 
-    def variant(direction: Array) -> tuple[Parameters, GrooveFit]:
-        clearance, engaged, disengaged = fin.values + direction
-        moved = known.parameters.replace(
-            clearance=clearance, engaged_stiffness=engaged, disengaged_stiffness=disengaged
-        )
-        problem = groove_problem(
-            traverses, replace(known, parameters=moved), fit.places, fit.scatter
-        )
+    def variant(direction: Array) -> GrooveFit:
+        given = known.parameters
+        moved = {key: getattr(given, key) + step for key, step in zip(FIN, direction, strict=True)}
+        parameters = given.replace(**moved)
+        changed = replace(known, parameters=parameters)
+        problem = groove_problem(traverses, changed, fit.places, fit.scatter)
         best = solve(problem, fit.solution.shared, fit.solution.own, iterations=VARIANT_ITERATIONS)
-        return moved, replace(fit, solution=best)
+        return replace(fit, parameters=parameters, problem=problem, solution=best)
 
-    return tuple(map(variant, deviations_of(fin.covariance)))
+    return tuple(map(variant, deviations_of(fin_covariance)))
 
 
 def deviations_of(covariance: Array) -> Array:
@@ -371,14 +351,3 @@ def _without_dry_friction(
     problem = with_fixed(problem, PITCH, start.shared[PITCH])
     frictionless = with_fixed(with_fixed(problem, FRONT_DRY, 0.0), REAR_DRY, 0.0)
     return solve(frictionless, start.shared[:2], start.own).shared
-
-
-def _stiffer(
-    traverses: Sequence[locomotion.Traverse],
-    known: locomotion.Known,
-    fit: GrooveFit,
-    friction: Estimate,
-) -> GrooveFit:
-    deviation = friction.spread / NORMAL if np.isfinite(friction.spread) else 0.0
-    value = float(fit.means[FRICTION]) + deviation
-    return replace(fit, solution=held(traverses, known, fit, FRICTION, value))

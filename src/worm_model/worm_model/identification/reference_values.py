@@ -62,11 +62,6 @@ class ReferenceValues:
         parameters = self.parameters.replace(one_sided_cable=True)
         return replace(self, parameters=parameters, fitted_otherwise=other)
 
-    def with_papers_cable(self) -> ReferenceValues:
-        """Return the values for the paper's power model."""
-        parameters = self.parameters.replace(one_sided_cable=False)
-        return replace(self, parameters=parameters, fitted_otherwise=False)
-
     def estimate(self, key: str) -> Estimate:
         """Return the given value; it is not identifiable if it was neither measured nor given with bounds."""
         value = float(getattr(self.parameters, key))

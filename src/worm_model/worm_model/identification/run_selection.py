@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of the runs for fitting and validation, with remarks."""
+"""Selection of the runs for fitting, with remarks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.estimate import Estimate, half_of_mean, quantile
 from worm_model.identification.fits.locomotion import Traverse, traverse_of
@@ -22,13 +21,12 @@ ONE_RUN = "measured in this single run; the variation between runs is unknown"
 
 @dataclass(frozen=True)
 class FittedRun:
-    """Run used for fitting or validation: recording, smoothed length, traverse and idle power.
+    """Run used for fitting: recording, traverse with the smoothed length, and idle power.
 
     ``has_power`` is True if power samples cover the traverse, so that the run is used for c_b and α_P.
     """
 
     recording: Recording
-    length: MeasuredLength
     traverse: Traverse
     idle: IdlePower
     has_power: bool
@@ -38,9 +36,14 @@ class FittedRun:
         """Name of the run."""
         return self.recording.name
 
+    @property
+    def length(self) -> MeasuredLength:
+        """Smoothed length of the body."""
+        return self.traverse.length
 
-def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[FittedRun], list[str]]:
-    """Return the usable runs and the remarks on all runs."""
+
+def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[FittedRun], list[str]]:
+    """Return the usable runs and the remarks on all runs, with a warning if they start in different grooves."""
     lengths = [measured_length(recording) for recording in recordings]
     kept, warnings = usable(recordings, lengths)
     runs = []
@@ -48,46 +51,11 @@ def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Fitted
         recording, length = recordings[index], lengths[index]
         traverse = traverse_of(recording, length, pitch)
         missing = power_missing(recording, traverse)
-        run = FittedRun(recording, length, traverse, idle_power_of(recording), not missing)
+        run = FittedRun(recording, traverse, idle_power_of(recording), not missing)
         warnings += remarks(recording, length, traverse)
         warnings += [text for text in (missing, run.idle.warning) if text]
         runs.append(run)
-    return runs, warnings
-
-
-def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[FittedRun], list[str]]:
-    """Return the usable runs and the remarks, with a warning if they start in different grooves."""
-    runs, warnings = prepared(recordings, pitch)
-    warnings += starts_apart([run.recording for run in runs])
-    return runs, warnings
-
-
-def prepared_validation(
-    recordings: Sequence[Recording], fitted: Sequence[Recording], pitch: float
-) -> tuple[list[FittedRun], list[str]]:
-    """Return the usable validation runs and the remarks."""
-    known = {_identity(recording): recording.name for recording in fitted}
-    names: set[str] = set()
-    for recording in recordings:
-        if _identity(recording) in known:
-            raise IdentificationError(
-                f"validation run {recording.name} is also fitted, as {known[_identity(recording)]}; "
-                "remove it from one of the two lists"
-            )
-        if recording.name in names:
-            raise IdentificationError(
-                f"two validation runs are called {recording.name}: list the run once, or rename one of the two runs"
-            )
-        names.add(recording.name)
-    if not recordings:
-        return [], []
-    runs, warnings = prepared(recordings, pitch)
-    return runs, [f"validation: {text}" for text in warnings]
-
-
-def _identity(recording: Recording) -> tuple[str, ...]:
-    """Return the checksums of a run's files, or its name if it has none."""
-    return tuple(sorted(recording.sources.values())) or (recording.name,)
+    return runs, warnings + starts_apart([run.recording for run in runs])
 
 
 def initial_length(runs: Sequence[FittedRun]) -> Estimate:

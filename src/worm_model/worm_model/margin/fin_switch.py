@@ -42,25 +42,6 @@ def step_response(time: Array, time_constant: float) -> Array:
 
 
 @dataclass(frozen=True)
-class FinLaw:
-    """Effect of the sliding fin on the holding module: slope (1), jump (m) and time constant of the jump (s)."""
-
-    slope: float
-    jump: float
-    time_constant: float
-
-    @classmethod
-    def of(cls, parameters: Parameters) -> FinLaw:
-        """Return the effect for the fins of the model."""
-        p = parameters
-        return cls(
-            1.0 - deflected_share(p),
-            switching_force(p) / p.engaged_stiffness,
-            2.0 * p.viscous_friction / p.engaged_stiffness,
-        )
-
-
-@dataclass(frozen=True)
 class Switches:
     """Switches of a half cycle: their times in s, ascending, and the standard deviation of the last one, s."""
 
@@ -74,12 +55,15 @@ NONE = Switches((), float("nan"))
 class Evidence:
     """Log evidence of a switch of the sliding fin, as a function of its time."""
 
-    def __init__(self, motion: Motion, half: HalfCycle, law: FinLaw) -> None:
+    def __init__(self, motion: Motion, half: HalfCycle, parameters: Parameters) -> None:
         self._time = motion.time
         self._holding = motion.holding(half.fin)
         self._travel = half.travel(motion.length)
         self._turn = half.end, float(half.travel(np.asarray(half.end_length)))
-        self._law = law
+        # Effect of the sliding fin on the holding module: slope (1), jump (m) and time constant of the jump (s)
+        self._slope = 1.0 - deflected_share(parameters)
+        self._jump = switching_force(parameters) / parameters.engaged_stiffness
+        self._time_constant = 2.0 * parameters.viscous_friction / parameters.engaged_stiffness
         # The smoothed length adds a part of its own noise to that of the mean of both modules.
         self._noise = float(np.hypot(0.8 * motion.noise, _TEMPLATE_ERROR_M))
 
@@ -90,7 +74,7 @@ class Evidence:
         than five samples.
         """
         terms, values, count = self._terms(time, low, high)
-        expected = np.array([0.0, self._law.slope, 0.0, 0.0])
+        expected = np.array([0.0, self._slope, 0.0, 0.0])
         spread = np.array([_OFFSET, _SLOPE, _TURNED, _BENT])
         without = self._log_evidence(terms[:, :-1], values, expected, spread)
         evidence = self._switched(terms, values) - without
@@ -102,9 +86,8 @@ class Evidence:
         return self._switched(terms, values)
 
     def _switched(self, terms: Array, values: Array) -> Array:
-        law = self._law
-        expected = np.array([0.0, law.slope, 0.0, law.slope, law.jump])
-        spread = np.array([_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * law.jump])
+        expected = np.array([0.0, self._slope, 0.0, self._slope, self._jump])
+        spread = np.array([_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * self._jump])
         return self._log_evidence(terms, values, expected, spread)
 
     def _terms(
@@ -123,7 +106,7 @@ class Evidence:
         now = np.interp(moment, self._time, self._travel)
         turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
         bent = np.where(at > moment, travel - now, 0.0)
-        jump = step_response(at - moment, self._law.time_constant)
+        jump = step_response(at - moment, self._time_constant)
         terms = np.stack([np.ones(at.shape), now - travel, turned, bent, jump], axis=1)
         count = used.sum(axis=1)
         mean = (holding * used).sum(axis=1) / np.maximum(count, 1)
@@ -160,7 +143,7 @@ def find_switches(
         usual: possible travels (m) of the last switch, from other cycles, and their standard deviation.
     """
     p = parameters
-    evidence = Evidence(motion, half, FinLaw.of(p))
+    evidence = Evidence(motion, half, p)
     last = min(half.end + _AFTER_TURN_S, motion.time[-1])
     grid = np.arange(half.start, last, max(_COARSE_S, (last - half.start) / _MOST_TIMES))
     travel = half.travel(motion.length_at(grid))

@@ -89,9 +89,14 @@ class HalfCycle:
     start_length: float
     end_length: float
 
+    @property
+    def sign(self) -> int:
+        """Sign of the change of the body length: −1 in a contraction, 1 in an extension."""
+        return -1 if self.fin is Fin.REAR else 1
+
     def travel(self, length: Array) -> Array:
         """Return the distance (m) by which the body has contracted, or extended, at a length."""
-        return self.start_length - length if self.fin is Fin.REAR else length - self.start_length
+        return self.sign * (length - self.start_length)
 
 
 def motion_of(run: Run, gait: Gait, onset: int, cycles: int) -> Motion | None:

@@ -88,14 +88,17 @@ class RunMargin:
     Attributes:
         gait: the gait.
         grooves: grooves per cycle that the margins refer to.
-        cycles: one entry for each complete cycle.
-        source: "tracker"; empty if nothing was measured.
+        cycles: one entry for each complete cycle; empty if nothing was measured.
     """
 
     gait: Gait
     grooves: int
     cycles: tuple[CycleMargin, ...]
-    source: str
+
+    @property
+    def source(self) -> str:
+        """Instrument that measured the margins: "tracker", or empty without any."""
+        return "tracker" if self.cycles else ""
 
     def margins(self, fin: Fin) -> tuple[Array, Array, Array]:
         """Return the measured margins of a fin, their standard deviations and their places, m, shape (n,) each.
@@ -188,7 +191,7 @@ def measure_cycles(
     motion = motion_of(run, gait, onset, cycles)
     halves = half_cycles(motion, gait, cycles) if motion is not None else []
     if motion is None or not halves:
-        return RunMargin(gait, grooves or 0, (), "")
+        return RunMargin(gait, grooves or 0, ())
     found = run_switches(motion, halves, parameters)
     moved = moved_grooves(motion, halves, parameters)[::2]
     places = [float(np.interp(half.end, motion.time, motion.rear)) for half in halves[::2]]
@@ -202,13 +205,9 @@ def measure_cycles(
         ]
         for fin, (release, _) in lengths.items()
     }
-    measured = tuple(
-        CycleMargin(cycle, *row)
-        for cycle, row in enumerate(
-            zip(moved, places, fins[Fin.REAR], fins[Fin.FRONT], strict=True), 1
-        )
-    )
-    return RunMargin(gait, grooves or gained, measured, "tracker")
+    rows = zip(moved, places, fins[Fin.REAR], fins[Fin.FRONT], strict=True)
+    measured = tuple(CycleMargin(cycle, *row) for cycle, row in enumerate(rows, 1))
+    return RunMargin(gait, grooves or gained, measured)
 
 
 def _lengths(

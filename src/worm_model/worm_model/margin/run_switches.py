@@ -37,7 +37,8 @@ def run_switches(
     motion: Motion, halves: Sequence[HalfCycle], parameters: Parameters
 ) -> dict[Fin, FinSwitches]:
     """Return the switches of both fins in the half cycles of a run."""
-    counts = [_known(halves, k, n) for k, n in enumerate(moved_grooves(motion, halves, parameters))]
+    # The numbers of grooves of the first and the last half cycle are not certain.
+    counts = [None, *moved_grooves(motion, halves, parameters)[1:-1], None]
     found = {}
     for fin in Fin:
         own = [k for k, half in enumerate(halves) if half.fin is fin]
@@ -60,7 +61,7 @@ def _of_fin(
     usual = _usual([place for place, count in zip(places, counts, strict=True) if count], pitch)
     most = max((count for count in counts if count is not None), default=0)
     for k, (half, count) in enumerate(zip(halves, counts, strict=True)):
-        expected = half.travel(np.asarray(_length(half, usual)))
+        expected = half.travel(np.asarray(half.sign * usual))
         # a fin that moved by the most grooves missed none, so its last switch is at the usual length
         missed: Array = np.arange(1.0 if count is None or count == most else _MOST_MISSED + 1.0)
         usual_places: Array = usual - pitch * missed
@@ -108,21 +109,11 @@ def moved_grooves(motion: Motion, halves: Sequence[HalfCycle], parameters: Param
     return moved
 
 
-def _known(halves: Sequence[HalfCycle], index: int, moved: int) -> int | None:
-    """Return the number of grooves if it is certain enough to search for as many switches, else None."""
-    return None if index in (0, len(halves) - 1) else moved
-
-
 def _place(motion: Motion, half: HalfCycle, switches: Switches) -> float:
     """Return the body length at the last switch, m, negative for the rear fin so that it grows with the travel."""
     if not switches.times:
         return math.nan
-    length = float(motion.length_at(switches.times[-1]))
-    return -length if half.fin is Fin.REAR else length
-
-
-def _length(half: HalfCycle, place: float) -> float:
-    return -place if half.fin is Fin.REAR else place
+    return half.sign * float(motion.length_at(switches.times[-1]))
 
 
 def _usual(places: Sequence[float], pitch: float) -> float:

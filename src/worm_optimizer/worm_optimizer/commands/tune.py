@@ -17,7 +17,7 @@ from worm_model.commands.command_line import (
     number,
     print_result,
 )
-from worm_model.commands.margin import add_grooves, check_grooves, measured_margins
+from worm_model.commands.margin import add_grooves, measured_margins
 from worm_model.gait import named_values
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
@@ -70,7 +70,6 @@ def check_aim(options: argparse.Namespace) -> None:
     """Raise `InputError` if the options of `add_aim` are inadmissible."""
     if not 0.0 < options.probability < 1.0:
         raise InputError(f"--probability {options.probability:g}: give a number between 0 and 1")
-    check_grooves(options)
 
 
 @dataclass(frozen=True)

@@ -40,16 +40,19 @@ def test_the_bellows_interval_covers_with_its_probability(correlation, least):
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "reason"),
+    ("fit", "x", "y", "reason"),
     [
-        (COMPRESSION[:3], COMPRESSION[:3], "usable points"),
-        (np.zeros(9), np.arange(9.0), "usable points"),
-        (COMPRESSION, -900.0 * COMPRESSION, "decreases with compression"),
+        (fit_bellows, COMPRESSION[:3], COMPRESSION[:3], "usable points"),
+        (fit_bellows, np.zeros(9), np.arange(9.0), "usable points"),
+        (fit_bellows, COMPRESSION, -900.0 * COMPRESSION, "decreases with compression"),
+        (fit_fin, X[:6], fin_force(X[:6]), "both sides"),
+        (fit_fin, np.abs(X), fin_force(np.abs(X)), "both sides"),
+        (fit_fin, X, fin_force(X, FIN[0], 1000.0, 1000.0), "which side engages"),
     ],
 )
-def test_a_bellows_test_without_information_is_rejected(x, y, reason):
+def test_a_test_without_information_is_rejected(fit, x, y, reason):
     with pytest.raises(IdentificationError, match=reason):
-        fit_bellows(x, y)
+        fit(x, y)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -71,17 +74,14 @@ def test_all_of_the_fins_intervals_cover_with_their_probability():
         assert 0.9 <= np.mean([e.low <= FIN[index] <= e.high for e in estimates]) <= 0.99
 
 
-def test_outliers_do_not_move_the_fin():
+def test_neither_outliers_nor_a_zero_that_is_off_move_clearance_and_stiffness():
     force = fin_force(X) + noise(4, 97, 0.1)
     spoilt = force.copy()
     spoilt[[5, 50, 90]] += [8.0, -6.0, 7.0]
     assert fit_fin(X, spoilt).values == pytest.approx(fit_fin(X, force).values, rel=0.02)
-
-
-def test_a_zero_that_is_off_moves_neither_clearance_nor_stiffness():
-    fit = fit_fin(X + 0.0012, fin_force(X) + noise(5, 97, 0.1))
-    assert fit.centre == pytest.approx(0.0012, abs=2e-4)
-    assert fit.values == pytest.approx(FIN, rel=0.04)
+    shifted = fit_fin(X + 0.0012, force)
+    assert shifted.centre == pytest.approx(0.0012, abs=2e-4)
+    assert shifted.values == pytest.approx(FIN, rel=0.04)
 
 
 @examples(25)
@@ -93,22 +93,9 @@ def test_any_fin_is_found(clearance, engaged, share):
     assert fit.values == pytest.approx([clearance, engaged, share * engaged], rel=0.03)
 
 
-def test_a_fin_test_that_does_not_show_the_engaged_side_requires_it():
-    force = fin_force(X, engaged=1000.0, disengaged=1000.0) + noise(7, 97, 0.05)
-    with pytest.raises(IdentificationError, match="--fin-engages"):
-        fit_fin(X, force)
-    assert fit_fin(X, force, engages=1).engages == 1
-
-
-@pytest.mark.parametrize(("centre", "engages"), [(0.0, 0), (0.0, -1), (0.0003, 0)])
-def test_a_fin_test_without_noise_is_found_exactly(centre, engages):
-    fit = fit_fin(X, fin_force(X - centre), engages)
+@pytest.mark.parametrize("centre", [0.0, 0.0003])
+def test_a_fin_test_without_noise_is_found_exactly(centre):
+    fit = fit_fin(X, fin_force(X - centre))
     assert fit.values == pytest.approx(FIN, rel=1e-9)
     assert fit.clearance.low == pytest.approx(fit.clearance.high, rel=1e-6)
     assert fit.centre == pytest.approx(centre, abs=1e-9)
-
-
-@pytest.mark.parametrize("x", [X[:6], np.abs(X)])
-def test_a_fin_test_of_one_side_is_rejected(x):
-    with pytest.raises(IdentificationError, match="both sides"):
-        fit_fin(x, fin_force(x))

@@ -19,7 +19,7 @@ from worm_model.identification.fit_verdict import fit_contractions
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import follows_command, usable
 from worm_model.identification.held_out import compared_margin, recorded_margin
-from worm_model.identification.run_selection import prepared
+from worm_model.identification.run_selection import fitted_runs
 from worm_model.margin.half_cycles import Fin
 from worm_model.parameters import PAPER, load_parameter_file
 
@@ -43,20 +43,14 @@ def lengths(recordings):
     return [measured_length(recording) for recording in recordings]
 
 
-def test_the_margin_of_a_recording_is_that_of_its_run(runs, recordings):
-    for run, recording in zip(runs, recordings, strict=True):
-        whole, found = measure_margin(run.run, PAPER), recorded_margin(recording, PAPER)
-        assert found.grooves == whole.grooves
-        rear, expected = found.margins(Fin.REAR)[0], whole.margins(Fin.REAR)[0]
-        assert rear == pytest.approx(expected, abs=0.0005)
-
-
-def test_the_margin_for_the_travel_error_is_that_of_the_worst_cycle_of_a_run(recordings):
-    for run in prepared(recordings, ROBOT.pitch)[0]:
-        margin = recorded_margin(run.recording, PAPER)
+def test_the_margin_for_the_travel_error_is_that_of_the_worst_cycle_of_a_run(runs, recordings):
+    for run, fitted in zip(runs, fitted_runs(recordings, ROBOT.pitch)[0], strict=True):
+        whole, margin = measure_margin(run.run, PAPER), recorded_margin(fitted.recording, PAPER)
+        assert margin.grooves == whole.grooves
+        expected = whole.margins(Fin.REAR)[0]
+        assert margin.margins(Fin.REAR)[0] == pytest.approx(expected, abs=0.0005)
         cycles = np.concatenate([margin.margins(fin)[0] for fin in Fin])
-        assert compared_margin(run, PAPER)[0] == cycles.min()
-        assert cycles.min() < margin.least.expected
+        assert compared_margin(fitted, PAPER)[0] == cycles.min() < margin.least.expected
 
 
 def test_the_measured_length_is_that_of_the_body(runs, lengths):
@@ -67,27 +61,18 @@ def test_the_measured_length_is_that_of_the_body(runs, lengths):
         assert not length.explained
 
 
-def test_a_compliant_cable_is_no_stuck_servo(recordings, lengths):
-    kept, reasons = usable(recordings, lengths)
-    assert kept == [0, 1, 2]
-    assert reasons == []
-
-
-@pytest.mark.parametrize("slip", [0.004, 0.05])
-def test_a_cable_that_slips_on_such_a_robot_is_found(recordings, slip):
+def test_a_compliant_cable_is_no_stuck_servo_but_a_slip_and_a_stop_are_found(recordings, lengths):
+    assert usable(recordings, lengths) == ([0, 1, 2], [])
     found = recordings[1]
     since = found.camera_time > 2.4 * found.gait.period
-    spoilt = replace(found, x2=found.x2 + np.where(since, slip, 0.0))
-    assert "slipped cable" in follows_command(spoilt, measured_length(spoilt))
-
-
-def test_a_servo_that_stops_on_such_a_robot_is_found(recordings):
-    found = recordings[1]
-    at = np.flatnonzero(found.camera_time > 2.4 * found.gait.period)
-    x2 = found.x2.copy()
-    x2[at] = found.x1[at] + found.length[at[0]]
-    spoilt = replace(found, x2=x2)
-    assert "stuck servo" in follows_command(spoilt, measured_length(spoilt))
+    held = found.x1 + found.length[np.flatnonzero(since)[0]]
+    for x2, cause in (
+        (found.x2 + 0.004 * since, "slipped cable"),
+        (found.x2 + 0.05 * since, "slipped cable"),
+        (np.where(since, held, found.x2), "stuck servo"),
+    ):
+        spoilt = replace(found, x2=x2)
+        assert cause in follows_command(spoilt, measured_length(spoilt))
 
 
 def test_the_extensions_show_a_cable_that_cannot_push_and_the_contractions_the_delay(recordings):

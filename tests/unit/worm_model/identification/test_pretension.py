@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from virtual_campaign import SHORT, VirtualCampaign, virtual_campaign
 
-from worm_model.errors import IdentificationError
 from worm_model.gait import Gait, Profile
 from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.data.observed_run import SAME_PLACE
 from worm_model.identification.idle import idle_power, idle_power_of
-from worm_model.identification.paper_procedure import literal
 from worm_model.identification.reference_values import MEASURED
 from worm_model.identification.run_selection import fitted_runs
 from worm_model.identification.stages import identify
@@ -81,7 +79,7 @@ def test_the_intervals_cover_the_truth():
     for seed in SEEDS:
         given = campaign(seed)
         recordings = (*sinusoids(seed)[1:], *tight(seed)[:3])
-        result = identify(replace(given.inputs, recordings=recordings), given.reference, seed)
+        result = identify(replace(given.inputs, recordings=recordings), given.reference)
         for key in IDENTIFIED:
             estimate, truth = result.estimates[key], getattr(given.truth, key)
             assert estimate.identifiable
@@ -96,9 +94,3 @@ def test_power_that_holds_a_pretension_is_not_idle_power_of_the_robot():
     assert [each.holding for each in idle] == [False] * len(SHORT) + [True] * len(TIGHT)
     assert idle_power(idle) == idle_power(idle[: len(SHORT)])
     assert idle_power(idle[len(SHORT) :]) is None
-
-
-def test_the_papers_procedure_rejects_a_pretension():
-    inputs = campaign(101).inputs
-    with pytest.raises(IdentificationError, match=r"run_5: .*--literal"):
-        literal(inputs, campaign(101).truth)

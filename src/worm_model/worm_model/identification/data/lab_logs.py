@@ -11,7 +11,6 @@ that differ from their defaults, such as direction, margin_m and pretension_m.
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
+from worm_model.checksum import sha256_of
 from worm_model.errors import IdentificationError
 from worm_model.parameters import PAPER
 from worm_model.run import (
@@ -73,24 +73,13 @@ class LabSettings:
         spool_radius: spool radius of the cable servo, m; None: estimated from the servo's goals and the gait's
             stroke; if they do not suffice, `USUAL_SPOOL`.
         initial_length: L0, m; None: median of the camera's lengths before the onset, minus the length change that the
-            pretension causes on the paper's robot; without such lengths, `fallback_length`.
-        fallback_length: L0 if no camera measured the body at rest, m.
+            pretension causes on the paper's robot; without such lengths, the paper's L0.
     """
 
     epoch: int | None = None
     onset: float | None = None
     spool_radius: float | None = None
     initial_length: float | None = None
-    fallback_length: float = 0.2952
-
-
-@dataclass(frozen=True)
-class Transmission:
-    """``onset`` of a gait in s, ``spool_radius`` in m, and ``remarks`` on the source of these two values."""
-
-    onset: float
-    spool_radius: float
-    remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -102,16 +91,18 @@ class LabRun:
         gait: the gait of the run; None if the folder does not contain it.
         initial_length: L0, the reference of the length changes, m.
         checksums: SHA-256 of the source files, by name.
-        transmission: onset and spool radius, given or estimated.
-        onset: stamp of the onset, ns since 1970.
+        onset: stamp of the gait's onset, ns since 1970, given or estimated.
+        spool_radius: m, given or estimated.
+        remarks: remarks on the source of onset and spool radius.
     """
 
     run: Run
     gait: Gait | None
     initial_length: float
     checksums: Mapping[str, str]
-    transmission: Transmission
     onset: int
+    spool_radius: float
+    remarks: tuple[str, ...]
 
 
 def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
@@ -125,25 +116,25 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
     }
     if not tables:
         raise IdentificationError(f"{folder} holds none of {', '.join(FILES)}")
+    camera, power, servo = (
+        tables.get(name, dict.fromkeys(columns, np.empty(0))) for name, columns in FILES.items()
+    )
     gait = read_gait(folder)
     clock = _clock(folder, tables, settings)
-    transmission = _transmission(tables.get("servo.csv"), gait, settings, clock.start)
-    length = _initial_length(tables.get("camera.csv"), settings, transmission.onset, gait)
-    series: dict[str, Any] = {}
-    if (servo := tables.get("servo.csv")) is not None:
-        series["commanded"] = _commanded(servo, length, clock, transmission.spool_radius)
-    if (camera := tables.get("camera.csv")) is not None:
-        series["measured"] = _measured(camera, length, clock)
-        positions = camera["x1_m"], camera["x2_m"]
-        series["tracker"] = TrackerSamples(clock.stamps(camera["time_s"]), *positions)
-    if (power := tables.get("power.csv")) is not None:
-        series["power"] = _power(power, clock)
-    onset = int(clock.stamps(np.array(transmission.onset)))
-    if gait is not None:
-        series["gait_state"] = _gait_states(gait, clock, transmission.onset, onset)
-    run = Run(origin=clock.origin, **series)
-    checksums = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in tables}
-    return LabRun(run, gait, length, checksums, transmission, onset)
+    onset, began = _onset(servo, gait, settings, clock.start)
+    radius, wound = _spool(servo, gait, settings)
+    length = _initial_length(camera, settings, onset, gait)
+    stamp = int(clock.stamps(np.array(onset)))
+    run = Run(
+        origin=clock.origin,
+        commanded=_commanded(servo, length, clock, radius),
+        measured=_measured(camera, length, clock),
+        tracker=TrackerSamples(clock.stamps(camera["time_s"]), camera["x1_m"], camera["x2_m"]),
+        power=_power(power, clock),
+        gait_state=GaitStates() if gait is None else _gait_states(gait, clock, onset, stamp),
+    )
+    checksums = {name: sha256_of(folder / name) for name in tables}
+    return LabRun(run, gait, length, checksums, stamp, radius, (*began, *wound))
 
 
 @dataclass(frozen=True)
@@ -184,32 +175,34 @@ def _clock(folder: Path, tables: Mapping[str, Table], settings: LabSettings) -> 
     return _Clock(start, end, origin)
 
 
-def _transmission(
-    table: Table | None, gait: Gait | None, settings: LabSettings, start: float
-) -> Transmission:
-    """Return onset and spool radius: the given value, else an estimate from the servo's log, else the usual value.
+def _onset(
+    servo: Table, gait: Gait | None, settings: LabSettings, start: float
+) -> tuple[float, list[str]]:
+    """Return the onset (s): the given one, else that of the servo's goals, else the usual one, with a remark on it."""
+    if settings.onset is not None:
+        return settings.onset, []
+    found = _onset_of(servo, gait)
+    onset = start + USUAL_ONSET if found is None else found
+    source = "assumed" if found is None else "where the servo's goal begins to move"
+    return onset, [f"gait from {onset:.2f} s on, {source}"]
 
-    Remarks state the source of a value that was not given, and report a given radius that contradicts the log.
+
+def _spool(servo: Table, gait: Gait | None, settings: LabSettings) -> tuple[float, list[str]]:
+    """Return the spool radius (m): the given one, else that of the servo's goals, else the usual one, with remarks.
+
+    A remark states the source of a value that was not given, or reports a given radius that contradicts the goals.
     """
-    remarks = []
-    command_onset = _onset_of(table, gait) if table is not None else None
-    onset = settings.onset
-    if onset is None:
-        onset = start + USUAL_ONSET if command_onset is None else command_onset
-        source = "assumed" if command_onset is None else "where the servo's goal begins to move"
-        remarks.append(f"gait from {onset:.2f} s on, {source}")
-    spool = _spool_of(table, gait) if table is not None and gait is not None else None
-    radius = settings.spool_radius
-    if radius is None:
-        radius = USUAL_SPOOL if spool is None else spool
-        source = "assumed" if spool is None else "for which the servo's goals produce the stroke"
-        remarks.append(f"spool radius {1e3 * radius:.2f} mm, {source}")
-    elif spool is not None and abs(radius / spool - 1.0) > SPOOL_TOLERANCE:
-        remarks.append(
-            f"spool radius {1e3 * radius:.2f} mm as given, but the servo's goals produce the gait's stroke with "
-            f"{1e3 * spool:.2f} mm: radius or stroke is wrong, and K has the same relative error"
-        )
-    return Transmission(onset, radius, tuple(remarks))
+    found, given = _spool_of(servo, gait) if gait else None, settings.spool_radius
+    if given is None:
+        radius = USUAL_SPOOL if found is None else found
+        source = "assumed" if found is None else "for which the servo's goals produce the stroke"
+        return radius, [f"spool radius {1e3 * radius:.2f} mm, {source}"]
+    if found is None or abs(given / found - 1.0) <= SPOOL_TOLERANCE:
+        return given, []
+    return given, [
+        f"spool radius {1e3 * given:.2f} mm as given, but the servo's goals produce the gait's stroke with "
+        f"{1e3 * found:.2f} mm: radius or stroke is wrong, and K has the same relative error"
+    ]
 
 
 def _onset_of(table: Table, gait: Gait | None) -> float | None:
@@ -218,6 +211,8 @@ def _onset_of(table: Table, gait: Gait | None) -> float | None:
     With a known gait, the first goals that have moved are extrapolated back along the gait's contraction, which begins
     as a parabola. The result is None if fewer than `FEWEST_MOVED` goals have moved.
     """
+    if table["time_s"].size < FEWEST_MOVED:
+        return None
     moved = _contraction(table["goal_ticks"], gait)
     rows = np.flatnonzero(moved > 0.5)[:FEWEST_MOVED]
     if rows.size < FEWEST_MOVED:
@@ -249,10 +244,11 @@ def _spool_of(table: Table, gait: Gait) -> float | None:
     The radius is rounded to a tenth of a millimetre if the rounding of the goals permits this value.
     """
     goals = table["goal_ticks"][np.isfinite(table["goal_ticks"])]
-    ticks = float(np.ptp(np.append(goals, 0.0) if gait.pretension else goals))
     time = table["time_s"]
-    enough = time.size >= FEWEST_MOVED and ticks >= FEWEST_TICKS
-    if not enough or time[-1] - time[0] < gait.period:
+    if goals.size < FEWEST_MOVED or time[-1] - time[0] < gait.period:
+        return None
+    ticks = float(np.ptp(np.append(goals, 0.0) if gait.pretension else goals))
+    if ticks < FEWEST_TICKS:
         return None
     low, middle, high = (
         gait.reach / (2.0 * math.pi * (ticks + rounding) / TICKS_PER_TURN)
@@ -341,19 +337,14 @@ def read_gait(folder: Path) -> Gait | None:
         raise IdentificationError(f"{path} is not a list of gaits by run: {error}") from None
 
 
-def _initial_length(
-    camera: Table | None, settings: LabSettings, onset: float, gait: Gait | None
-) -> float:
+def _initial_length(camera: Table, settings: LabSettings, onset: float, gait: Gait | None) -> float:
     if settings.initial_length is not None:
         return settings.initial_length
-    if camera is not None:
-        at_rest = camera["time_s"] < onset
-        lengths = (camera["x2_m"] - camera["x1_m"])[at_rest]
-        known = lengths[np.isfinite(lengths)]
-        if len(known):
-            tensioned = 0.0 if gait is None else resting_change(gait, PAPER)
-            return float(np.median(known)) - tensioned
-    return settings.fallback_length
+    lengths = (camera["x2_m"] - camera["x1_m"])[camera["time_s"] < onset]
+    known = lengths[np.isfinite(lengths)]
+    if not known.size:
+        return PAPER.initial_length
+    return float(np.median(known)) - (0.0 if gait is None else resting_change(gait, PAPER))
 
 
 def _commanded(table: Table, initial_length: float, clock: _Clock, radius: float) -> LengthSamples:

@@ -98,10 +98,11 @@ def recordings_of(
     unusable data are excluded as well. A remark reports each excluded gait. Raises `IdentificationError` if tracker,
     commanded lengths or gait states are missing, or if the first gait is unusable.
     """
-    _check_topics(run, name)
     runs = run.gait_state.rows_of_runs()
     if not runs:
-        raise IdentificationError(f"{name}: contains no gait; record one run per bag, from rest")
+        raise IdentificationError(
+            f"{name}: gait_state contains no gait; record one run per bag, from rest"
+        )
     kept: list[Recording] = []
     remarks: list[str] = []
     for number, rows in enumerate(runs, 1):
@@ -146,46 +147,33 @@ def _recording(run: Run, row: int, name: str) -> Recording:
 
     commanded, tracked = within(run.commanded.stamp), within(run.tracker.stamp)
     commanded &= np.isfinite(run.commanded.length_change)
+    _check_sizes(name, {"tracker": tracked, "body_length/commanded": commanded})
     powered = within(run.power.stamp) & (run.power.status == POWER_VALID)
     powered &= np.isfinite(run.power.power)
     command_time = seconds(run.commanded.stamp[commanded], onset)
     command = run.commanded.length_change[commanded]
     shift = _onset_shift(command_time, command, gait, name)
+    playing = command_time > shift
     recording = Recording(
         name=name,
         gait=gait,
         camera_time=seconds(run.tracker.stamp[tracked], onset) - shift,
         x1=run.tracker.rear_position[tracked],
         x2=run.tracker.front_position[tracked],
-        command_time=command_time - shift,
-        command=command,
+        command_time=np.append(0.0, command_time[playing] - shift),
+        command=np.append(0.0 - gait.pretension, command[playing]),
         power_time=seconds(run.power.stamp[powered], onset) - shift,
         power=run.power.power[powered],
     )
-    _check_sizes(recording)
-    return _counted_from_rest(_from_onset(recording))
+    return _counted_from_rest(recording)
 
 
-def _check_topics(run: Run, name: str) -> None:
-    topics = {
-        "tracker": run.tracker.stamp,
-        "body_length/commanded": run.commanded.stamp,
-        "gait_state": run.gait_state.stamp,
-    }
-    for topic, stamp in topics.items():
-        if not stamp.size:
-            raise IdentificationError(f"{name}: contains no {topic}; record this topic")
-
-
-def _check_sizes(recording: Recording) -> None:
-    sizes = {
-        "tracker": recording.camera_time.size,
-        "body_length/commanded": recording.command_time.size,
-    }
-    for topic, size in sizes.items():
+def _check_sizes(name: str, samples: Mapping[str, NDArray[np.bool_]]) -> None:
+    for topic, used in samples.items():
+        size = int(used.sum())
         if size < FEWEST_SAMPLES:
             raise IdentificationError(
-                f"{recording.name}: only {size} samples of {topic} from the rest before the gait to its end, "
+                f"{name}: only {size} samples of {topic} from the rest before the gait to its end, "
                 f"{FEWEST_SAMPLES} are needed"
             )
 
@@ -233,33 +221,22 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
     return float(fit.x[0])
 
 
-def _from_onset(recording: Recording) -> Recording:
-    """Return the recording with commands from the onset on, beginning with the command at rest."""
-    after = recording.command_time > 0.0
-    rest = 0.0 - recording.gait.pretension
-    return replace(
-        recording,
-        command_time=np.append(0.0, recording.command_time[after]),
-        command=np.append(rest, recording.command[after]),
-    )
-
-
 def _counted_from_rest(recording: Recording) -> Recording:
     """Return the recording with positions relative to the rear module's rest."""
     rest = recording.x1[recording.at_rest]
     if rest.size < 10:
-        counted = (
-            f" (counted from {TENSIONED_REST / 1e9:g} s after the cable reached the pretension; the driver's parameter "
+        tensioned = (
+            f" (from {TENSIONED_REST / 1e9:g} s after the cable reached the pretension; the driver's parameter "
             "rest_duration_s is the shortest rest)"
+            if recording.gait.pretension > 0.0
+            else ""
         )
         raise IdentificationError(
             f"{recording.name}: only {rest.size} camera samples show both markers in the rest before the gait"
-            f"{counted if recording.gait.pretension > 0.0 else ''}; keep the robot at rest for 2 s within sight of the "
-            "camera"
+            f"{tensioned}; keep the robot at rest for 2 s within sight of the camera"
         )
-    zero = float(np.median(rest[np.abs(rest - np.median(rest)) < 5e-3]))
-    kept = rest[np.abs(rest - zero) < 2e-3]
-    zero = float(kept.mean())
+    middle = float(np.median(rest[np.abs(rest - np.median(rest)) < 5e-3]))
+    zero = float(rest[np.abs(rest - middle) < 2e-3].mean())
     start = zero - _moved_by_pretension(recording)
     return replace(recording, x1=recording.x1 - zero, x2=recording.x2 - zero, start=start)
 

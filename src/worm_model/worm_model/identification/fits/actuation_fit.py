@@ -33,7 +33,7 @@ LEAST_NOISE = 2e-5  # m, lower bound of the noise of a measured length
 # start of several fits, each of which needs fewer
 REMEMBERED = 2048
 KEYS = ("slack", "gain", "time_constant")
-START = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # values from which a fit starts
+START = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # usual values, from which a fit starts
 SHARED = (
     Quantity(1e-5, 0.0, 0.05),  # slack, m
     Quantity(1e-3, 0.05, 5.0),  # gain
@@ -43,32 +43,33 @@ SHARED = (
 
 @dataclass(frozen=True)
 class ActuationFit:
-    """Fitted parameters and nuisance parameters.
+    """An `actuation_problem` and its solution."""
 
-    Attributes:
-        slack, gain, time_constant: m, 1, s.
-        initial_length: L0 of each run, m, shape (runs,).
-        clock_offset: offset of the camera's clock in each run, s, shape (runs,). Positive offsets mean early stamps: a
-            sample with stamp t was measured at t + offset.
-        engagement: time after the onset at which the slack is taken up in each run, s, shape (runs,); 0 with a
-            pretension.
-        residuals: measured minus predicted length at the fitted samples of each run, m.
-        solution: solution of the least-squares problem.
-    """
-
-    slack: float
-    gain: float
-    time_constant: float
-    initial_length: Array
-    clock_offset: Array
-    engagement: Array
-    residuals: tuple[Array, ...]
+    problem: Problem
     solution: Solution
 
     @property
     def values(self) -> Array:
-        """Slack, gain and time constant, shape (3,)."""
-        return np.array([getattr(self, key) for key in KEYS])
+        """Slack (m), gain (1) and time constant (s), shape (3,)."""
+        return self.solution.shared
+
+    @property
+    def initial_length(self) -> Array:
+        """L0 of each run, m, shape (runs,)."""
+        return self.solution.own[:, INITIAL_LENGTH]
+
+    @property
+    def clock_offset(self) -> Array:
+        """Offset of the camera's clock in each run, s, shape (runs,).
+
+        Positive offsets mean early stamps: a sample with stamp t was measured at t + offset.
+        """
+        return self.solution.own[:, CLOCK]
+
+    @property
+    def engagement(self) -> Array:
+        """Time after the onset at which the slack is taken up in each run, s, shape (runs,); 0 with a pretension."""
+        return self.solution.own[:, ENGAGEMENT]
 
 
 def predicted_length_change(
@@ -108,6 +109,11 @@ def fitted_samples(recording: Recording) -> NDArray[np.bool_]:
     return np.isfinite(recording.length) & (recording.camera_time <= recording.command_time[-1])
 
 
+def camera_noise(recording: Recording) -> float:
+    """Return the standard deviation (m) of the noise of a measured length."""
+    return max(noise_of(recording.length), LEAST_NOISE)
+
+
 def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0) -> Problem:
     """Return the least-squares problem of the measured lengths.
 
@@ -116,7 +122,7 @@ def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0)
     samples = [fitted_samples(recording) for recording in recordings]
     times = [r.camera_time[kept] for r, kept in zip(recordings, samples, strict=True)]
     lengths = [r.length[kept] for r, kept in zip(recordings, samples, strict=True)]
-    noise = [known_noise or max(noise_of(r.length), LEAST_NOISE) for r in recordings]
+    noise = [known_noise or camera_noise(recording) for recording in recordings]
 
     @lru_cache(REMEMBERED)
     def predicted(run: int, shared: bytes, clock_offset: float, engagement: float) -> Array:
@@ -147,16 +153,5 @@ def slack_length(recording: Recording) -> float:
 def fit_actuation(recordings: Sequence[Recording]) -> ActuationFit:
     """Fit slack, gain and time constant to all recordings, starting from the values of the paper."""
     own = np.array([[slack_length(r), 0.0, 0.0] for r in recordings])
-    solution = solve(actuation_problem(recordings), np.array(START), own)
-    noise = [max(noise_of(r.length), LEAST_NOISE) for r in recordings]
-    slack, gain, time_constant = map(float, solution.shared)
-    return ActuationFit(
-        slack,
-        gain,
-        time_constant,
-        initial_length=solution.own[:, INITIAL_LENGTH],
-        clock_offset=solution.own[:, CLOCK],
-        engagement=solution.own[:, ENGAGEMENT],
-        residuals=tuple(r * n for r, n in zip(solution.residuals, noise, strict=True)),
-        solution=solution,
-    )
+    problem = actuation_problem(recordings)
+    return ActuationFit(problem, solve(problem, np.array(START), own))

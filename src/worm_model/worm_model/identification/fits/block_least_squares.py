@@ -25,8 +25,6 @@ HUBER = 2.5
 MOST_ITERATIONS = 40
 MOST_DAMPING = 1e6  # damping at which the search for a step that lowers the cost ends
 NARROW = 0.15  # factor on the derivative steps, applied when the full steps make no progress
-# An estimate contains information from the data if its standard deviation is at most this share of the prior's.
-INFORMATIVE = 0.5
 TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has converged
 
 
@@ -289,23 +287,13 @@ def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Arra
     return jacobian
 
 
-def own_deviations(
-    problem: Problem, solution: Solution, entry: int, weights: Sequence[Array] | None = None
-) -> Array:
+def own_deviations(problem: Problem, solution: Solution, entry: int) -> Array:
     """Return the standard deviations, shape (runs,), of the nuisance parameter ``entry`` of each run, in its unit.
 
     They follow from the curvature of the cost, with all other parameters free. The cost must be continuous in the
     nuisance parameter.
     """
-    matrix, _ = normal_equations(problem, solution, weights)
+    matrix, _ = normal_equations(problem, solution)
     own = solution.own.shape[1]
     deviation: Array = np.sqrt(np.diag(inverse(matrix))[len(problem.shared) + entry :: own])
     return deviation
-
-
-def informative(deviation: Array, prior: float) -> Array:
-    """Return the standard deviations of estimates, NaN where they are mostly due to the prior.
-
-    ``prior`` is the standard deviation of the prior. See `INFORMATIVE`.
-    """
-    return np.where(deviation <= INFORMATIVE * prior, deviation, np.nan)

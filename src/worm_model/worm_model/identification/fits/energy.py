@@ -39,7 +39,7 @@ class PowerRun:
     """Data of one run for the energy model, from the onset to the end of the traverse (`locomotion.Traverse`).
 
     Attributes:
-        name: name of the run.
+        recording: the run.
         time: time on the camera's clock, s, shape (n,).
         rate: L̇, m/s, shape (n,).
         static_force: cable force without the damping term, N, shape (n,).
@@ -48,7 +48,7 @@ class PowerRun:
         one_sided_cable: True for a cable that cannot push.
     """
 
-    name: str
+    recording: Recording
     time: Array
     rate: Array
     static_force: Array
@@ -65,22 +65,32 @@ class PowerRun:
 
 @dataclass(frozen=True)
 class EnergyFit:
-    """Fit of the energy model.
+    """Solution of `energy_problem`: c_b (N·s/m), α_P, and the clock offset of each run."""
 
-    Attributes:
-        damping: c_b, N·s/m.
-        factor: α_P.
-        clock_offset: offset of the power sensor's clock from the camera's in each run, s, shape (runs,). Positive
-            offsets mean early stamps of the sensor.
-        residuals: measured minus predicted energy of each run, J.
-        solution: solution of the least-squares problem.
-    """
-
-    damping: float
-    factor: float
-    clock_offset: Array
-    residuals: tuple[Array, ...]
     solution: Solution
+
+    @property
+    def damping(self) -> float:
+        """c_b, N·s/m."""
+        return float(self.solution.shared[0])
+
+    @property
+    def factor(self) -> float:
+        """α_P."""
+        return float(self.solution.shared[1])
+
+    @property
+    def clock_offset(self) -> Array:
+        """Offset of the power sensor's clock from the camera's in each run, s, shape (runs,).
+
+        Positive offsets mean early stamps of the sensor.
+        """
+        return self.solution.own[:, 0]
+
+    @property
+    def scatter(self) -> Array:
+        """Root mean square of measured minus predicted energy in each run, J, shape (runs,)."""
+        return SCALE * np.sqrt([np.mean(r**2) for r in self.solution.residuals])
 
 
 def power_run(
@@ -97,7 +107,7 @@ def power_run(
     kept = time <= end
     during = (recording.power_time >= 0.0) & (recording.power_time <= min(end, time[kept][-1]))
     return PowerRun(
-        recording.name,
+        recording,
         time[kept],
         rate[kept],
         static_force[kept],
@@ -159,16 +169,9 @@ def fit_energy(runs: Sequence[PowerRun], damping: float | None = None) -> Energy
     else:
         held = solve(with_fixed(problem, 0, damping), shared[1:], own, samples)
         solution = replace(held, shared=np.insert(held.shared, 0, damping))
-    return EnergyFit(
-        damping=float(solution.shared[0]),
-        factor=float(solution.shared[1]),
-        clock_offset=solution.own[:, 0],
-        residuals=tuple(r * SCALE for r in solution.residuals),
-        solution=solution,
-    )
+    return EnergyFit(solution)
 
 
 def unseen_energy(damping: float, factor: float) -> EnergyFit:
     """Return a fit without any run, which contains the given c_b (N·s/m) and α_P."""
-    nothing = Solution(np.array([damping, factor]), np.empty((0, 1)), (), 0.0)
-    return EnergyFit(damping, factor, np.empty(0), (), nothing)
+    return EnergyFit(Solution(np.array([damping, factor]), np.empty((0, 1)), (), 0.0))

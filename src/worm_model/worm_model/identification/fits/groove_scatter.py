@@ -10,9 +10,9 @@ all deviations are fitted again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from worm_model.identification.fits.block_least_squares import (
     solve,
     with_fixed,
 )
+from worm_model.parameters import Parameters
 from worm_model.simulation.kernel.grooves import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 
 ROWS = 10  # number of grooves in the table of a module; most of them lie ahead of its start
@@ -42,26 +43,24 @@ ROUNDS = 4  # number of times that fit and scatter are computed alternately
 INNER_ROUNDS = 300  # iterations of expectation maximisation in each of these rounds
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """Standard deviations of the grooves' ``threshold`` in m and relative ``stiffness``."""
+class Scatter(NamedTuple):
+    """Standard deviations of the grooves' ``threshold`` in m and relative ``stiffness``, by column of the tables."""
 
     threshold: float
     stiffness: float
 
-    def of(self, column: int) -> float:
-        """Return the standard deviation that belongs to a column of grooves."""
-        return self.threshold if column == THRESHOLD else self.stiffness
-
 
 @dataclass(frozen=True)
 class GrooveFit:
-    """``solution`` of a problem with deviations of the grooves, which have a ``scatter``.
+    """``solution`` of a ``problem`` with deviations of the grooves, which have a ``scatter``.
 
-    The deviations are the last shared parameters. ``places`` (k, 3) contains the place of each deviation: the module
-    (0 rear, 1 front), and row and column of its table in `worm_model.simulation.kernel.grooves`.
+    ``parameters`` are the given values of all parameters that the problem does not contain. The deviations are the last
+    shared parameters. ``places`` (k, 3) contains the place of each deviation: the module (0 rear, 1 front), and row and
+    column of its table in `worm_model.simulation.kernel.grooves`.
     """
 
+    parameters: Parameters
+    problem: Problem
     solution: Solution
     places: NDArray[np.int64]
     scatter: Scatter
@@ -75,10 +74,6 @@ class GrooveFit:
     def tables(self) -> tuple[Array, Array]:
         """Tables of grooves, see `tables_of`."""
         return tables_of(self.solution.shared[MEANS:], self.places)
-
-
-# Function that returns the problem for places and scatter
-Build = Callable[[NDArray[np.int64], Scatter], Problem]
 
 
 def tables_of(deviations: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -101,40 +96,35 @@ def groove_problem(
         robot = locomotion.with_means(worm, values[:MEANS], own)
         return locomotion.x1_residuals(traverses[run], robot, *tables_of(values[MEANS:], places))
 
-    deviations = _deviation_quantities(places, scatter, known.parameters.pitch)
-    shared = [*locomotion.shared_quantities(known), *deviations]
-    return Problem(residuals, shared, locomotion.own_quantities(traverses, known), jumps=True)
-
-
-def _deviation_quantities(
-    places: NDArray[np.int64], scatter: Scatter, pitch: float
-) -> list[Quantity]:
-    """Return the quantities for the deviations of single grooves; the scatter is their prior standard deviation."""
-    half = 0.5 * pitch
-    return [
-        Quantity(STEPS[0], -half, half, 0.0, scatter.threshold)
-        if column == THRESHOLD
-        else Quantity(STEPS[1], -0.9, 9.0, 0.0, scatter.stiffness)
-        for _, _, column in places
+    half = 0.5 * known.parameters.pitch
+    deviations = (
+        Quantity(STEPS[THRESHOLD], -half, half, 0.0, scatter.threshold),
+        Quantity(STEPS[STIFFNESS], -0.9, 9.0, 0.0, scatter.stiffness),
+    )
+    shared = [
+        *locomotion.shared_quantities(known),
+        *(deviations[column] for column in places[:, 2]),
     ]
+    return Problem(residuals, shared, locomotion.own_quantities(traverses, known), jumps=True)
 
 
 def fit_grooves(
     traverses: Sequence[locomotion.Traverse], known: locomotion.Known, start: Solution
 ) -> GrooveFit:
     """Estimate scatter, deviations and means, starting from a solution with even grooves."""
-    build = partial(groove_problem, traverses, known)
     scatter = Scatter(*FIRST_SCATTER)
-    places = _passed(build, start)
+    places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # all possible deviations
+    places = places[_matters(groove_problem(traverses, known, places, scatter), start)]
+    problem = groove_problem(traverses, known, places, scatter)
     shared = np.concatenate([start.shared, np.zeros(len(places))])
     own = start.own
     for _ in range(ROUNDS):
-        problem = build(places, scatter)
         solution = _scanned(problem, solve(problem, shared, own, iterations=4), places)
         shared, own = solution.shared, solution.own
         scatter = _learned_scatter(problem, solution, places, scatter)
-    problem = build(places, scatter)
-    return GrooveFit(solve(problem, shared, own, iterations=6), places, scatter)
+        problem = groove_problem(traverses, known, places, scatter)
+    solution = solve(problem, shared, own, iterations=6)
+    return GrooveFit(known.parameters, problem, solution, places, scatter)
 
 
 def given_fit(traverses: Sequence[locomotion.Traverse], known: locomotion.Known) -> GrooveFit:
@@ -143,7 +133,8 @@ def given_fit(traverses: Sequence[locomotion.Traverse], known: locomotion.Known)
     shared = np.array([*given, locomotion.FIRST_ONSET])
     places, scatter = np.empty((0, 3), np.int64), Scatter(np.nan, np.nan)
     problem = groove_problem(traverses, known, places, scatter)
-    return GrooveFit(evaluate(problem, shared, locomotion.first_own(traverses)), places, scatter)
+    solution = evaluate(problem, shared, locomotion.first_own(traverses))
+    return GrooveFit(known.parameters, problem, solution, places, scatter)
 
 
 def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) -> Solution:
@@ -151,8 +142,7 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
 
     The cost jumps at a threshold at which a switch just fails or just happens. Gradients do not show such a jump.
     """
-    first = len(problem.shared) - len(places)
-    for entry in first + np.flatnonzero(places[:, 2] == THRESHOLD):
+    for entry in MEANS + np.flatnonzero(places[:, 2] == THRESHOLD):
         for value in SCANNED:
             moved = solution.shared.copy()
             moved[entry] = value
@@ -162,17 +152,11 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
     return solution
 
 
-def _passed(build: Build, start: Solution) -> NDArray[np.int64]:
-    """Return the places of the deviations that affect the residuals, shape (k, 3).
-
-    These are deviations of the grooves that the runs pass.
-    """
-    places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # all possible deviations
-    problem = build(places, Scatter(*FIRST_SCATTER))
-    first = start.shared.size
-    shared = np.concatenate([start.shared, np.zeros(len(places))])
+def _matters(problem: Problem, start: Solution) -> list[bool]:
+    """Return for each deviation of a problem whether it affects the residuals: the runs pass its groove."""
+    shared = np.concatenate([start.shared, np.zeros(len(problem.shared) - MEANS)])
     matters = []
-    for entry in range(first, shared.size):
+    for entry in range(MEANS, shared.size):
         moved = shared.copy()
         moved[entry] += problem.shared[entry].step
         matters.append(
@@ -181,7 +165,7 @@ def _passed(build: Build, start: Solution) -> NDArray[np.int64]:
                 for run, residuals in enumerate(start.residuals)
             )
         )
-    return places[matters]
+    return matters
 
 
 def _learned_scatter(
@@ -189,9 +173,8 @@ def _learned_scatter(
 ) -> Scatter:
     """Return the scatter by expectation maximisation on the problem linearised around the solution."""
     matrix, gradient = normal_equations(problem, solution)
-    first = len(problem.shared) - len(places)
-    entries = [first + np.flatnonzero(places[:, 2] == k) for k in (THRESHOLD, STIFFNESS)]
-    spreads = [scatter.of(THRESHOLD), scatter.of(STIFFNESS)]
+    entries = [MEANS + np.flatnonzero(places[:, 2] == k) for k in (THRESHOLD, STIFFNESS)]
+    spreads = list(scatter)
     pull = matrix @ solution.values - gradient
     for index, spread in zip(entries, spreads, strict=True):
         matrix[index, index] -= spread**-2
@@ -199,9 +182,8 @@ def _learned_scatter(
         posterior = matrix.copy()
         for index, spread in zip(entries, spreads, strict=True):
             posterior[index, index] += spread**-2
-        idle = np.flatnonzero(
-            np.diag(posterior) <= 0.0
-        )  # deviations without any effect, such as a threshold that no run reaches
+        # deviations without any effect, such as a threshold that no run reaches
+        idle = np.flatnonzero(np.diag(posterior) <= 0.0)
         posterior[idle, idle] = 1.0
         scale = 1.0 / np.sqrt(np.diag(posterior))
         covariance = np.linalg.inv(posterior * np.outer(scale, scale)) * np.outer(scale, scale)
@@ -215,16 +197,10 @@ def _learned_scatter(
     return Scatter(*spreads)
 
 
-def held(
-    traverses: Sequence[locomotion.Traverse],
-    known: locomotion.Known,
-    fit: GrooveFit,
-    entry: int,
-    value: float,
-) -> Solution:
+def held(fit: GrooveFit, entry: int, value: float) -> Solution:
     """Return the solution with the mean ``entry`` fixed at a value and all other parameters fitted again."""
-    problem = groove_problem(traverses, known, fit.places, fit.scatter)
     shared = np.delete(fit.solution.shared, entry)
-    found = solve(with_fixed(problem, entry, value), shared, fit.solution.own, iterations=8)
-    prior = prior_cost([value], [problem.shared[entry]])
+    problem = with_fixed(fit.problem, entry, value)
+    found = solve(problem, shared, fit.solution.own, iterations=8)
+    prior = prior_cost([value], [fit.problem.shared[entry]])
     return replace(found, shared=np.insert(found.shared, entry, value), cost=found.cost + prior)

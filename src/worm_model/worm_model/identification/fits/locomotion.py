@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, minimum_filter
 
 from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
@@ -285,24 +285,15 @@ def least_threshold(parameters: Parameters) -> float:
     return 0.5 * max(parameters.pitch, parameters.clearance) + 1e-4
 
 
-@dataclass(frozen=True)
-class Landscape:
-    """J_loc on a grid.
-
-    ``cost`` (m, n) is the mean squared error of x1 in m², for ``friction`` (m,) in N·s/m and ``threshold`` (n,) in m.
-    """
-
-    friction: Array
-    threshold: Array
-    cost: Array
-
-
 def search(
     traverses: Sequence[Traverse],
     known: Known,
-    progress: Callable[[float], None] | None = None,
-) -> Landscape:
-    """Return J_loc without dry friction on a grid of (η, p_sw), with the given pitch and the measured L0."""
+    progress: Callable[[float], None] = lambda _: None,
+) -> Array:
+    """Return the deepest local minima (η, p_sw) of J_loc on a grid, deepest first, shape (k, 2).
+
+    J_loc is the mean squared error of x1 without dry friction, with the given pitch and the measured L0.
+    """
     parameters = known.parameters
     problem = locomotion_problem(traverses, known)
     own = first_own(traverses)
@@ -311,7 +302,6 @@ def search(
     )
     cost = np.empty((SEARCHED_FRICTION.size, threshold.size))
     samples = sum(t.time.size for t in traverses)
-
     for row, friction in enumerate(SEARCHED_FRICTION):
         for column, value in enumerate(threshold):
             values = np.array([friction, value, 0.0, 0.0, parameters.pitch, FIRST_ONSET])
@@ -320,35 +310,20 @@ def search(
                 for run, t in enumerate(traverses)
             ]
             cost[row, column] = sum(squares) / samples
-        if progress is not None:
-            progress((row + 1) / SEARCHED_FRICTION.size)
-    return Landscape(SEARCHED_FRICTION, threshold, cost)
+        progress((row + 1) / SEARCHED_FRICTION.size)
+    lowest = cost == minimum_filter(cost, 3, mode="constant", cval=np.inf)
+    cells = np.argwhere(lowest)[np.argsort(cost[lowest])[:VALLEYS]]
+    return np.array([(SEARCHED_FRICTION[i], threshold[j]) for i, j in cells])
 
 
-def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
-    """Return the deepest local minima (η, p_sw) of a landscape, deepest first, shape (k, 2)."""
-    padded = np.pad(landscape.cost, 1, constant_values=np.inf)
-    rows, columns = landscape.cost.shape
-    around = [
-        padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-        if (i, j) != (0, 0)
-    ]
-    lowest = landscape.cost <= np.min(around, axis=0)
-    cells = np.argwhere(lowest)
-    order = np.argsort(landscape.cost[lowest])[:count]
-    return np.array([(landscape.friction[i], landscape.threshold[j]) for i, j in cells[order]])
-
-
-def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Landscape) -> Solution:
-    """Return the best fit with even grooves and all nuisance parameters, of the fits that start in `valleys`."""
+def find_locomotion(traverses: Sequence[Traverse], known: Known, valleys: Array) -> Solution:
+    """Return the best fit with even grooves and all nuisance parameters, of the fits that start in the ``valleys``."""
     own = first_own(traverses)
     tried = TRIED_PITCHES if known.pitch_deviation > 0.0 else (0.0,)
     pitches = [known.parameters.pitch + z * known.pitch_deviation for z in tried]
     starts = [
         np.array([*valley, *FIRST_DRY, pitch, FIRST_ONSET])
-        for valley in valleys(landscape)
+        for valley in valleys
         for pitch in pitches
     ]
     problem = locomotion_problem(traverses, known)

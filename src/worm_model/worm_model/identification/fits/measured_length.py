@@ -25,7 +25,6 @@ from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.actuation_fit import (
     INITIAL_LENGTH,
     ActuationFit,
-    actuation_problem,
     fit_actuation,
     predicted_length_change,
 )
@@ -50,7 +49,6 @@ class MeasuredLength:
     """Length change ΔL of a run on the camera's clock, from the moment at which the slack is taken up.
 
     Attributes:
-        step: time step, s.
         time, length_change, rate: s, m, m/s, shape (n,). The first ΔL is that of the body at rest, and the first rate
             is the rate immediately afterwards.
         initial_length: L0, m.
@@ -62,7 +60,6 @@ class MeasuredLength:
         explained: True if the run's actuation fit explains the length.
     """
 
-    step: float
     time: Array
     length_change: Array
     rate: Array
@@ -98,7 +95,6 @@ def measured_length(recording: Recording) -> MeasuredLength:
     value, rate = _smoothed(recording.camera_time, misfit, outliers, time, HALF_WINDOW)
     fade = np.minimum((time - start) / HALF_WINDOW, 1.0)  # ΔL is known at the start, at rest
     return MeasuredLength(
-        step=GRID_STEP,
         time=time,
         length_change=modelled(time) + fade * value,
         rate=steepness + fade * rate,
@@ -122,9 +118,9 @@ def _followed(recording: Recording, fit: ActuationFit, misfit: Array) -> Measure
         recording.camera_time, recording.length - rest, outliers, time, NARROW_WINDOW
     )
     fade = np.minimum(time / NARROW_WINDOW, 1.0)  # the body is at rest at the start
-    change = resting_change(recording.gait, PAPER.replace(slack=fit.slack, gain=fit.gain))
+    slack, gain, _ = fit.values
+    change = resting_change(recording.gait, PAPER.replace(slack=slack, gain=gain))
     return MeasuredLength(
-        step=GRID_STEP,
         time=time,
         length_change=change + value - (1.0 - fade) * value[0],
         rate=rate,
@@ -156,17 +152,12 @@ def _smoothed(
 
 
 def _initial_spread(recording: Recording, fit: ActuationFit, outliers: NDArray[np.bool_]) -> float:
-    """Return the standard deviation of L0, m."""
+    """Return the standard deviation of L0, m; with a pretension it includes that of the fitted effect on the length."""
     rest = recording.length[recording.at_rest & ~outliers]
     spread = float(max(rest.std(ddof=1), 1e-6) / np.sqrt(rest.size))
-    return float(np.hypot(spread, _spread_by_pretension(recording, fit)))
-
-
-def _spread_by_pretension(recording: Recording, fit: ActuationFit) -> float:
-    """Return the standard deviation (m) of L0 that results from subtracting the fitted effect of a pretension."""
     if recording.gait.pretension == 0.0:
-        return 0.0
-    return float(own_deviations(actuation_problem([recording]), fit.solution, INITIAL_LENGTH)[0])
+        return spread
+    return float(np.hypot(spread, own_deviations(fit.problem, fit.solution, INITIAL_LENGTH)[0]))
 
 
 def _bridged(values: Array) -> Array:

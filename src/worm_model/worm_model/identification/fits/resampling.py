@@ -8,7 +8,7 @@ as for the mean of an equal number of normally distributed values.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,17 +16,13 @@ from worm_model.arrays import Array
 from worm_model.identification.fits.estimate import Estimate, quantile
 
 REFITS = 120  # number of refits of a bootstrap
+SEED = 0  # of a bootstrap, so that equal data result in equal intervals
 
 
 def unit_weights(random: np.random.Generator, units: int) -> Array:
     """Return random weights with mean 1 in every row, shape (REFITS, units)."""
     weights = random.exponential(size=(REFITS, units))
     return weights / weights.mean(axis=1, keepdims=True)
-
-
-def refitted(refit: Callable[[int], Array]) -> Array:
-    """Return the results of all refits in order, shape (REFITS, ...)."""
-    return np.array([refit(index) for index in range(REFITS)])
 
 
 def spread_factor(units: int) -> float:

@@ -9,10 +9,8 @@ import numpy as np
 
 from worm_model.analysis.run_metrics import root_mean_square
 from worm_model.arrays import Array, accumulated
-from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.actuation_fit import predicted_length_change
-from worm_model.identification.fits.locomotion import Traverse
-from worm_model.identification.fits.quality import power_missing
+from worm_model.identification.run_selection import FittedRun
 from worm_model.parameters import Parameters
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import Smoothed
@@ -54,18 +52,16 @@ class Errors:
     energy_error: float
 
 
-def predict(
-    recording: Recording, traverse: Traverse, parameters: Parameters, clock_offset: float = 0.0
-) -> RunPrediction:
+def predict(run: FittedRun, parameters: Parameters, clock_offset: float = 0.0) -> RunPrediction:
     """Predict a run with the initial length that was measured in it.
 
     If the anchors switch endlessly with these parameters, x1, power and energy are NaN.
     ``clock_offset`` (s) is positive if the camera's stamps are early, see `ActuationFit`.
     """
-    length = traverse.length
+    recording, length = run.recording, run.length
     values = parameters.replace(initial_length=length.initial_length)
     time, change, rate = length.time, length.length_change, length.rate
-    model = Locomotion(values, traverse.direction)
+    model = Locomotion(values, run.traverse.direction)
     breaks, coefficients = Smoothed(time, change, rate).cubic()
     start = model.at_rest(float(time[0]), float(change[0]))
     try:
@@ -85,29 +81,28 @@ def predict(
     )
 
 
-def errors(recording: Recording, traverse: Traverse, prediction: RunPrediction) -> Errors:
-    """Return the errors of a prediction over the traverse."""
+def run_errors(run: FittedRun, parameters: Parameters, clock_offset: float) -> Errors:
+    """Return the errors of a prediction over the traverse; for the arguments see `predict`."""
+    recording, traverse = run.recording, run.traverse
+    prediction = predict(run, parameters, clock_offset)
     x1 = traverse.x1 - np.interp(traverse.time, prediction.time, prediction.x1)
     during = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
     change = recording.length - traverse.length.initial_length - prediction.length_change
-    time, power = measured_power(recording, traverse)
+    time, power = measured_power(run)
+    energy_error = np.nan
+    if run.has_power:
+        first, last = np.interp(time[[0, -1]], prediction.time, prediction.energy)
+        energy_error = float(last - first) / float(accumulated(time, power)[-1]) - 1.0
     return Errors(
         x1_rmse=root_mean_square(x1),
         length_rmse=root_mean_square(change[during & ~traverse.length.outliers]),
         power_rmse=root_mean_square(power - np.interp(time, prediction.time, prediction.power)),
-        energy_error=np.nan
-        if power_missing(recording, traverse)
-        else _energy_error(time, power, prediction),
+        energy_error=energy_error,
     )
 
 
-def _energy_error(time: Array, power: Array, prediction: RunPrediction) -> float:
-    ends = np.interp(time[[0, -1]], prediction.time, prediction.energy)
-    return float(ends[1] - ends[0]) / float(accumulated(time, power)[-1]) - 1.0
-
-
-def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Array]:
+def measured_power(run: FittedRun) -> tuple[Array, Array]:
     """Return times (s) and values (W) of the power samples during the traverse."""
-    time = recording.power_time
-    during = (time >= max(0.0, traverse.length.time[0])) & (time <= traverse.end)
-    return time[during], recording.power[during]
+    time = run.recording.power_time
+    during = (time >= max(0.0, run.length.time[0])) & (time <= run.traverse.end)
+    return time[during], run.recording.power[during]

@@ -19,7 +19,7 @@ from worm_model.identification.actuation_stage import ActuationResult
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
-from worm_model.identification.fits.actuation_fit import actuation_problem
+from worm_model.identification.fits.actuation_fit import actuation_problem, camera_noise
 from worm_model.identification.fits.block_least_squares import Problem, evaluate, normal_equations
 from worm_model.identification.fits.energy import INDEPENDENT, PowerRun, energy_problem
 from worm_model.identification.fits.energy import KEYS as ENERGY
@@ -100,7 +100,7 @@ def _inherited(result: Identification, key: str) -> float:
         share = result.energy.inherited[STAGES["energy"].index(key)]
     elif key in STAGES["locomotion"]:
         entry, fit = STAGES["locomotion"].index(key), result.locomotion.fit
-        off = [v.means[entry] - fit.means[entry] for _, v in result.locomotion.variants]
+        off = [v.means[entry] - fit.means[entry] for v in result.locomotion.variants]
         share = (
             float(np.sum(np.square(off))) / (result.estimates[key].spread / quantile(np.inf)) ** 2
         )
@@ -180,7 +180,9 @@ def recorded(gait: Gait, result: Identification) -> Recording | None:
 def _information(result: Identification, stage: str, recording: Recording) -> Array:
     """Return the information matrix (k, k) of the stage's parameters, in inverse squared units."""
     if stage == "actuation":
-        noise = float(np.median([np.std(r) for r in result.actuation.fit.residuals]))
+        residuals = result.actuation.fit.solution.residuals
+        noises = [camera_noise(run.recording) for run in result.runs]
+        noise = float(np.median([n * np.std(r) for n, r in zip(noises, residuals, strict=True)]))
         problem = actuation_problem([recording], noise)
         own = np.array([[result.parameters.initial_length, 0.0, 0.0]])
         return _marginal(problem, result.actuation.fit.values, own, 3)
@@ -204,7 +206,7 @@ def _energy_information(result: Identification, recording: Recording) -> Array:
     motion = simulate(recording.gait, parameters, MOST_CYCLES).at(recording.power_time)
     static = motion.cable_force + parameters.bellows_damping * motion.length_rate
     run = PowerRun(
-        recording.name,
+        recording,
         recording.power_time,
         motion.length_rate,
         static,
@@ -214,7 +216,7 @@ def _energy_information(result: Identification, recording: Recording) -> Array:
         parameters.one_sided_cable,
     )
     values = np.array([parameters.bellows_damping, parameters.power_factor])
-    scatter = float(np.sqrt(np.mean([np.mean(r**2) for r in result.energy.fit.residuals])))
+    scatter = float(np.sqrt(np.mean(result.energy.fit.scatter**2)))
     problem = energy_problem([run], scatter)
     weights = [np.full(recording.power_time.size, INDEPENDENT / recording.power_time.size)]
     return _marginal(problem, values, np.zeros((1, 1)), 2, weights)

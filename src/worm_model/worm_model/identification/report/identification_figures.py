@@ -18,7 +18,6 @@ from worm_model.analysis.plot_style import (
     MM,
     PREDICTED,
     SAMPLES,
-    VERMILION,
     finish,
     new_figure,
     symbol,
@@ -47,10 +46,9 @@ def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
         yield "bellows", bellows_figure(result.bellows)
     if result.fin is not None:
         yield "fin", fin_figure(result.fin)
-    yield "search", search_figure(result)
     offset = float(result.actuation.fit.clock_offset.mean())
     for run in result.runs:
-        prediction = predict(run.recording, run.traverse, result.parameters, offset)
+        prediction = predict(run, result.parameters, offset)
         yield f"{run.name}_motion", _motion(run, prediction, result.parameters.pitch)
         yield f"{run.name}_length", _length(run, prediction, result.parameters.slack)
         yield f"{run.name}_energy", energy_of_run(run, prediction)
@@ -90,31 +88,6 @@ def fin_figure(fit: FinFit) -> Figure:
     return figure
 
 
-def search_figure(result: Identification) -> Figure:
-    """Plot the rms error √J_loc as a function of the switching threshold, with the interval of the estimate.
-
-    The error is the smallest one for any friction on the grid of the search.
-    """
-    landscape = result.locomotion.landscape
-    figure = new_figure(_WIDTH, 3.2)
-    axes = figure.subplots()
-    best = np.sqrt(landscape.cost.min(axis=0)) * MM
-    axes.semilogy(
-        landscape.threshold * MM, best, **MEASURED, label="minimum over η, no dry friction"
-    )
-    estimate = result.locomotion.switching_threshold
-    axes.axvspan(
-        estimate.low * MM,
-        estimate.high * MM,
-        color=VERMILION,
-        alpha=0.5,
-        label=f"{symbol('p_sw')} = {estimate.value * MM:.2f} ± {estimate.spread * MM:.2f} mm",
-    )
-    axes.set_xlabel(f"switching threshold {symbol('p_sw')} (mm)")
-    finish(axes, "rms error of x1 (mm)")
-    return figure
-
-
 def _motion(run: FittedRun, prediction: RunPrediction, pitch: float) -> Figure:
     """Plot measured x1 and its prediction from the measured length."""
     time, x1 = run.traverse.time, run.traverse.x1
@@ -150,7 +123,7 @@ def _length(run: FittedRun, prediction: RunPrediction, slack: float) -> Figure:
 
 def energy_of_run(run: FittedRun, prediction: RunPrediction) -> Figure:
     """Plot measured and predicted source power and energy, and the energy difference."""
-    time, power = measured_power(run.recording, run.traverse)
+    time, power = measured_power(run)
     expected = np.interp(time, prediction.time, prediction.energy)
     measured, expected = accumulated(time, power), expected - expected[:1]
     return energy_figure(

@@ -14,7 +14,7 @@ import numpy as np
 
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import KEYS as ENERGY
-from worm_model.identification.fits.estimate import Estimate, quantile
+from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.inputs import Inputs
@@ -37,7 +37,6 @@ ERROR_COLUMNS = (
 FIGURE_TITLES = {
     "bellows": "Bellows test and linear fit",
     "fin": "Fin test and fitted law",
-    "search": "J_loc over the switching threshold",
 }
 
 
@@ -55,7 +54,7 @@ def write_report(
     pictures = folder / FIGURES
     pictures.mkdir()
     names = []
-    expected = 3 * len(result.runs) + 3
+    expected = 3 * len(result.runs) + 2
     for name, figure in all_figures(result):
         save_png_and_pdf(figure, pictures / name)
         names.append(name)
@@ -97,13 +96,8 @@ def text_of(result: Identification, advice: str, figures: list[str]) -> str:
         "servo from the other runs. x1 is predicted from the measured length, ΔL from the command. Errors are rms "
         "values from the onset until the rear module has passed five ridges. The energy error is that at the end of "
         "this time. Four quantities still depend on the run itself: its initial length, its smoothed length, the "
-        "scatter of the grooves, and the forces in the energy fit.\n\n"
-        + error_table(result.held_out, result.paper),
-    ]
-    parts.append("## Margins\n\n" + travel_text(result))
-    if result.validation:
-        parts.append("## Validation runs\n\n" + error_table(result.validation, {}))
-    parts += [
+        "scatter of the grooves, and the forces in the energy fit.\n\n" + error_table(result),
+        "## Margins\n\n" + travel_text(result),
         "## Nuisances\n\n" + nuisance_text(result),
         "## Remarks\n\n" + "\n".join(f"- {text}" for text in result.warnings or ["none"]),
         f"## {FIGURES_HEADING}\n\n" + "\n\n".join(_picture(name) for name in figures),
@@ -116,8 +110,8 @@ def _summary(result: Identification) -> str:
     when = f", recorded {dates[0]} to {dates[-1]}" if dates else ", of unknown date"
     count = len(result.runs)
     return (
-        f"{count} run{'s' if count > 1 else ''}{when}. Given values: {result.reference.source}. {code_version()}, "
-        f"seed {result.seed}. Intervals are 95 %."
+        f"{count} run{'s' if count > 1 else ''}{when}. Given values: {result.reference.source}. {code_version()}. "
+        "Intervals are 95 %."
     )
 
 
@@ -167,20 +161,20 @@ def _open_ends(result: Identification, advice: str) -> str:
     return "\n\n".join(part for part in (together, f"Recommended measurement: {advice}.") if part)
 
 
-def error_table(errors: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
-    """Return a table of the errors of each run, followed by the errors with the paper's table in brackets."""
-    if not errors:
+def error_table(result: Identification) -> str:
+    """Return a table of the held-out errors of each run, followed by the errors with the paper's table in brackets."""
+    if not result.held_out:
         return "Held-out errors need at least two runs."
     lines = [
         "| run | x1 (mm) | ΔL (mm) | power (W) | energy (%) |",
         "| --- | ---: | ---: | ---: | ---: |",
     ]
-    for name, error in errors.items():
-        cells = [
-            _number(form, factor * getattr(error, field))
-            + (f" ({_number(form, factor * getattr(paper[name], field))})" if name in paper else "")
-            for field, factor, form in ERROR_COLUMNS
-        ]
+    for name, error in result.held_out.items():
+        cells = []
+        for field, factor, form in ERROR_COLUMNS:
+            errors = (error, result.paper[name])
+            own, paper = (_number(form, factor * getattr(each, field)) for each in errors)
+            cells.append(f"{own} ({paper})")
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -206,22 +200,15 @@ def nuisance_text(result: Identification) -> str:
         "| run | L0 (mm) | P_idle (W) | camera behind servo (ms) | power behind camera (ms) | five ridges |",
         "| --- | ---: | ---: | ---: | ---: | --- |",
     ]
-    clocks = zip(result.actuation.fit.clock_offset, result.actuation.clock_deviation, strict=True)
-    for run, length, clock in zip(result.runs, locomotion.initial_length, clocks, strict=True):
-        camera, power = _milliseconds(*clock), _milliseconds(*result.power_clock(run.name))
+    for index, run in enumerate(result.runs):
+        length = 1e3 * locomotion.initial_length[index]
+        camera = 1e3 * result.actuation.fit.clock_offset[index]
+        power = _number("{:+.1f}", 1e3 * result.energy.clock_offset(run.name))
         reached = f"after {run.traverse.end:.1f} s" if run.traverse.complete else "not reached"
         lines.append(
-            f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera} | {power} | "
-            f"{reached} |"
+            f"| {run.name} | {length:.2f} | {run.idle.value:.3f} | {camera:+.1f} | {power} | {reached} |"
         )
     return head + "\n".join(lines)
-
-
-def _milliseconds(offset: float, deviation: float) -> str:
-    """Return a clock offset with its 95 % half-width in ms as text; "not identified" if the deviation is NaN."""
-    if not np.isfinite(deviation):
-        return "not identified"
-    return f"{offset * 1e3:+.1f} ± {quantile(np.inf) * deviation * 1e3:.1f}"
 
 
 def _picture(name: str) -> str:
@@ -258,7 +245,6 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
         "made_by": MADE_BY,
         FORM: result.parameters.one_sided_cable,
         "code": code_version(),
-        "seed": result.seed,
         "fit": result.fit.verdict.value,
         "given": result.reference.source,
         "not_identified": {
@@ -268,13 +254,14 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
         "bench_tests": {name: test.checksum for name, test in tests.items() if test},
         "runs": runs,
     }
+    correlated = {(a, b): round(rho, 4) for a, b, rho in _correlated(result) if {a, b} <= set(KEYS)}
     lengths = [run.length.initial_length for run in result.runs]
     spread = {"initial_length": float(np.std(lengths, ddof=1))} if len(lengths) > 1 else {}
     return ParameterFile(
         result.parameters,
         intervals,
         provenance,
-        _of_parameters(result),
+        correlated,
         spread,
         result.travel_error,
     )
@@ -283,7 +270,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 def summary(result: Identification) -> dict[str, Any]:
     """Return the result as a JSON object; unknown numbers are NaN or None."""
     return {
-        "fit": result.fit.as_dict(),
+        "fit": asdict(result.fit),
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
         "travel_error": asdict(result.travel_error or PRIOR),
         "margins": {
@@ -294,74 +281,29 @@ def summary(result: Identification) -> dict[str, Any]:
         "runs": {name: asdict(error) for name, error in result.held_out.items()}
         or {run.name: dict.fromkeys(error.name for error in fields(Errors)) for run in result.runs},
         "paper": {name: asdict(error) for name, error in result.paper.items()},
-        "validation": {name: asdict(error) for name, error in result.validation.items()},
-        "clock_offsets": {
-            run.name: _clocks(result, index) for index, run in enumerate(result.runs)
-        },
-        "nuisances": nuisances(result),
         "correlations": [
             {"parameters": [a, b], "correlation": rho} for a, b, rho in correlations(result)
         ],
         "warnings": list(result.warnings),
-        "seed": result.seed,
     }
 
 
-def _clocks(result: Identification, index: int) -> dict[str, float]:
-    """Return clock offsets (s) with 95 % half-widths, NaN where the data do not determine the offset."""
-    z = quantile(np.inf)
-    power, power_deviation = result.power_clock(result.runs[index].name)
-    return {
-        "camera_behind_servo": float(result.actuation.fit.clock_offset[index]),
-        "camera_behind_servo_half_width": z * float(result.actuation.clock_deviation[index]),
-        "power_behind_camera": power,
-        "power_behind_camera_half_width": z * power_deviation,
-    }
-
-
-def nuisances(result: Identification) -> dict[str, Any]:
-    """Return the nuisance parameters and intermediate results."""
-    locomotion = result.locomotion
-    return {
-        "without_dry_friction": dict(
-            zip(
-                ("viscous_friction", "switching_threshold"),
-                locomotion.without_dry_friction,
-                strict=True,
-            )
-        ),
-        "onset": locomotion.onset,
-        "threshold_scatter": locomotion.fit.scatter.threshold,
-        "stiffness_scatter": locomotion.fit.scatter.stiffness,
-        "initial_length": {
-            run.name: length
-            for run, length in zip(result.runs, locomotion.initial_length, strict=True)
-        },
-        "idle_power": {run.name: run.idle.value for run in result.runs},
-    }
+def _correlated(result: Identification) -> list[tuple[str, str, float]]:
+    """Return the known correlations of all pairs of estimates of a stage."""
+    stages = (
+        (LOCOMOTION, result.locomotion.correlation),
+        (ACTUATION, result.actuation.correlation),
+        (ENERGY, result.energy.correlation),
+    )
+    return [
+        (names[i], names[j], float(matrix[i, j]))
+        for names, matrix in stages
+        for i, j in combinations(range(len(names)), 2)
+        if np.isfinite(matrix[i, j])
+    ]
 
 
 def correlations(result: Identification) -> list[tuple[str, str, float]]:
     """Return strongly correlated pairs of estimates, strongest first."""
     strong = [pair for pair in _correlated(result) if abs(pair[2]) >= CORRELATED]
     return sorted(strong, key=lambda pair: -abs(pair[2]))
-
-
-def _correlated(result: Identification) -> list[tuple[str, str, float]]:
-    pairs = _pairs(LOCOMOTION, result.locomotion.correlation)
-    pairs += _pairs(ACTUATION, result.actuation.correlation)
-    return pairs + _pairs(ENERGY, result.energy.correlation)
-
-
-def _of_parameters(result: Identification) -> dict[tuple[str, str], float]:
-    """Return the known correlations of estimates, by pairs of keys of a parameter file."""
-    return {
-        (a, b): round(rho, 4)
-        for a, b, rho in _correlated(result)
-        if {a, b} <= set(KEYS) and np.isfinite(rho)
-    }
-
-
-def _pairs(names: tuple[str, ...], matrix: Any) -> list[tuple[str, str, float]]:
-    pairs = combinations(range(len(names)), 2)
-    return [(names[i], names[j], float(matrix[i, j])) for i, j in pairs]
