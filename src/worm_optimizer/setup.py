@@ -23,7 +23,6 @@ EXECUTABLES: list[str] = [  # "executable = module:function"
     "console = worm_optimizer.nodes.executables:console",
     "study = worm_optimizer.commands.study:main",
     "capability = worm_optimizer.commands.capability:main",
-    "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
 NEEDED = [
     "worm_model",

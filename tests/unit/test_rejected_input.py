@@ -79,7 +79,6 @@ BAD = [
     (OPTIMIZE, "--robustness chance --margin 0.002", "--margin 0.002 has no effect"),
     (OPTIMIZE, "--robustness chance --margin-n 2", "--margin-n 2 has no effect"),
     (OPTIMIZE, "--robustness chance --probability 2", "at most 1, not 2.0"),
-    ("worm_optimizer.commands.sensitivity", f"{GAIT} --samples 10", "power of two"),
     ("worm_optimizer.commands.start", "--set prot=/dev/ttyUSB0", "'prot'"),
     (CAMPAIGN, "--output x --set port", "write NAME=VALUE"),
     (CAMPAIGN, "--output x --set prot=/dev/ttyUSB0", "no setting 'prot'"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the optimizer's results: fronts with gaits, price of robustness, capability and sensitivity."""
+"""Figures of the optimizer's results: fronts with gaits, price of robustness and capability."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.expectation import Band, Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.robustness.sensitivity import NO_INDICES, SYMBOLS, Sensitivity
 from worm_optimizer.search.capability import Capability, LoadPoint
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
@@ -265,10 +264,6 @@ def _or_zero(value: float) -> float:
     return value if np.isfinite(value) else 0.0
 
 
-SHOWN = 10  # number of parameters in the figure; it shows those with the largest total indices
-TITLES = {"speed": "speed", "power": "power", "cliff_margin": "cliff of the margin"}
-
-
 def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoint]) -> Figure:
     """Draw lowest cost of transport and highest speed as functions of the load, and the largest load of each gait."""
     figure = plot_style.new_figure(11.0, 4.2)
@@ -305,31 +300,4 @@ def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoin
     bars.set_xlim(right=1.35 * max(each.largest_load for each in found.values()) + 1.0)
     bars.set_title("largest load and slope", loc="left", fontsize="small")
     plot_style.letter((curves, bars))
-    return figure
-
-
-def sensitivity_figure(content: Sensitivity) -> Figure:
-    """Draw first-order and total indices of each quantity, with the largest total index on top."""
-    figure = plot_style.new_figure(11.0, 4.5)
-    panels = figure.subplots(1, len(content.indices))
-    for axes, (name, indices) in zip(panels, content.indices.items(), strict=True):
-        if np.all(np.isnan(indices.total)):
-            axes.text(0.5, 0.5, NO_INDICES, ha="center", transform=axes.transAxes)
-            axes.set(yticks=[])
-        else:
-            order = np.argsort(-indices.total)[:SHOWN][::-1]
-            place = np.arange(order.size)
-            for values, bounds, color, height, label in (
-                (indices.total, indices.total_bounds, plot_style.LIGHT_GREY, 0.8, "total"),
-                (indices.first, indices.first_bounds, plot_style.BLUE, 0.4, "alone"),
-            ):
-                low, high = bounds
-                reach = np.maximum([values - low, high - values], 0.0)[:, order]
-                axes.barh(place, values[order], height, color=color, label=label, xerr=reach)
-            names = [SYMBOLS[content.parameters[k]] for k in order]
-            axes.set_yticks(place, names)
-            axes.legend(loc="lower right", fontsize="small", frameon=False)
-        axes.set_xlabel("share of the variance")
-        axes.set_title(TITLES[name], loc="left", fontsize="small")
-    plot_style.letter(panels)
     return figure
