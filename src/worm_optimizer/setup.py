@@ -28,7 +28,6 @@ NEEDED = [
     "worm_model",
     "worm_msgs",
     "jinja2>=3.1",
-    "markdown2>=2.4",
     "matplotlib>=3.6",
     "numpy>=1.26",
     "pymoo>=0.6.1",

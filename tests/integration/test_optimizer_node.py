@@ -5,7 +5,6 @@ import math
 
 import pytest
 from action_msgs.msg import GoalStatus
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import TIMEOUT_S, Probe, Processes
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -119,26 +118,18 @@ def test_an_optimisation_is_served_in_both_directions(start, user):
     assert reverse.power == pytest.approx(done.result.cruise.power, rel=1e-6)
 
 
-def test_what_cannot_be_computed_has_its_reason_and_changes_nothing(start, user, probe):
-    arrays = probe.collect(DiagnosticArray, "/diagnostics", 10)
+def test_what_cannot_be_computed_has_its_reason_and_changes_nothing(start, user):
     start(margin_m=0.002)
     before = user.served()
     for name, goal, reason in (
         ("optimize_gaits", OptimizeGaits.Goal(margin=-1.0, direction=1), "margin: -1.0 m"),
         ("scan_margin", ScanMargin.Goal(direction=7), "7"),
+        ("optimize_gaits", OptimizeGaits.Goal(margin=0.09, direction=1), "lower the margin"),
     ):
-        sent = probe.send_goal(KINDS[name], name, goal)
-        assert reason in probe.rejection(sent, name)
-    done = user.outcome(user.send("optimize_gaits", OptimizeGaits.Goal(margin=0.09, direction=1)))
-    assert done.status == GoalStatus.STATUS_ABORTED
-    assert "lower the margin" in done.result.message
+        done = user.outcome(user.send(name, goal))
+        assert done.status == GoalStatus.STATUS_ABORTED
+        assert reason in done.result.message
     assert user.request_gait().prediction == before
-    levels = lambda: {status.level for array in arrays for status in array.status}  # noqa: E731
-    probe.wait_for(lambda: DiagnosticStatus.OK in levels(), "healthy status", timeout_s=90.0)
-    assert {status.name for status in arrays[-1].status} == {
-        "worm/optimizer: forward front",
-        "worm/optimizer: reverse front",
-    }
 
 
 def test_where_the_robot_rests_the_front_is_another(start, user):

@@ -153,10 +153,9 @@ def _optimize(options: argparse.Namespace) -> None:
         front = replaced(front, comparison.front)
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
-        from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
+        from worm_optimizer.report.front_plots import front_figure
 
-        draw = front_figure if settings.waveform is Waveform.SHAPED else front_and_map_figure
-        save_figure(draw(front, front.three), figure)
+        save_figure(front_figure(front, front.three), figure)
     limits = {
         name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
     }
@@ -182,16 +181,12 @@ def _searched(front: RobustFront, search: Nsga2Settings) -> Comparison:
         nsga2,
     )  # here: its import is slow, and the exact front does not need it
 
-    bar = ProgressLine("NSGA-II")
-    for generation in nsga2.generations(
-        front.exact.task, search, nsga2.reference_power_of(front.exact)
-    ):
-        bar(generation.number / generation.of)
-    if not len(generation.front):
+    found = nsga2.nsga2_front(front.exact.task, search, ProgressLine("NSGA-II"))
+    if not len(found):
         raise InputError(
             "NSGA-II found no gait that gains a groove in every cycle: raise --population or --generations"
         )
-    return nsga2.compared(front.exact, generation.front)
+    return nsga2.compared(front.exact, found)
 
 
 main = executable(_parser, _optimize)

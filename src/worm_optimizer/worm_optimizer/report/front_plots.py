@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from worm_model.analysis import plot_style
-from worm_optimizer.evaluation.task import Array, MarginTask
+from worm_optimizer.evaluation.task import Array
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.expectation import Band, Bands
@@ -21,7 +21,6 @@ from worm_optimizer.search.capability import Capability, LoadPoint
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 
-_MAP_STROKES, _MAP_FREQUENCIES = 241, 161  # resolution of the map of the grooves per cycle
 _COSTS = (25, 50, 100, 200)  # costs of transport for which `_cost_lines` draws a line
 
 # The measured value usually lies within the expected interval. Its small filled marker is therefore visible inside the
@@ -49,40 +48,6 @@ def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
     _plot_front(axes, front)
     _mark(axes, marks)
     plot_style.legend_above(axes, 2)
-    return figure
-
-
-def front_and_map_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
-    """Draw a front, and next to it a map of the grooves per cycle as a function of stroke and frequency.
-
-    The map holds for the margin of the front.
-    """
-    task = front.nominal.with_margin(front.margin)
-    figure = plot_style.new_figure(12.5, 5.0)
-    left, right = figure.subplots(1, 2)
-    _plot_front(left, front)
-    _mark(left, marks)
-    plot_style.legend_above(left, 2)
-    _plot_map(right, task)
-    strokes, frequencies = _columns(front.gaits, "stroke", "frequency")
-    outlined = {"color": "white", "markeredgecolor": plot_style.BLACK, "linestyle": "none"}
-    right.plot(plot_style.MM * strokes, frequencies, marker=".", label="front", **outlined)
-    strokes, frequencies = _columns(tuple(marks.values()), "stroke", "frequency")
-    right.plot(
-        plot_style.MM * strokes,
-        frequencies,
-        marker="*",
-        markersize=15,
-        label="marked gaits",
-        **outlined,
-    )
-    right.set_title(
-        f"grooves per cycle at {plot_style.MARGIN_SYMBOL} = {plot_style.MM * task.margin:.2f} mm",
-        loc="left",
-        fontsize="small",
-    )
-    plot_style.legend_above(right)
-    plot_style.letter((left, right))
     return figure
 
 
@@ -227,15 +192,6 @@ def _cost_lines(axes: Axes, weight: float) -> None:
             color="0.4",
             fontsize=8,
         )
-
-
-def _plot_map(axes: Axes, task: MarginTask) -> None:
-    box = task.bounds
-    strokes = np.linspace(box.stroke_low, box.stroke_high, _MAP_STROKES)
-    frequencies = np.linspace(box.frequency_low, box.frequency_high, _MAP_FREQUENCIES)
-    grooves = task.grooves(strokes[np.newaxis, :], frequencies[:, np.newaxis])
-    plot_style.draw_groove_map(axes, plot_style.MM * strokes, frequencies, grooves)
-    axes.set(xlabel="stroke S (mm)", ylabel="frequency f (Hz)")
 
 
 def _cross(axes: Axes, bands: Bands, style: Mapping[str, Any]) -> None:

@@ -144,13 +144,7 @@ def price_warning(price: PriceOfRobustness) -> str:
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
     """Return the task of some settings without a margin. ``content`` must include the conditions in the pipe."""
-    return MarginTask(
-        content.parameters,
-        direction,
-        bounds=settings.bounds,
-        limits=settings.limits,
-        holding_power=settings.holding_power,
-    )
+    return MarginTask(content.parameters, direction, bounds=settings.bounds, limits=settings.limits)
 
 
 def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTask:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NSGA-II, the paper's method, as an iterator over generations, and the comparison of its front with the exact one."""
+"""NSGA-II, the paper's method, and the comparison of its front with the exact one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,55 +19,28 @@ from worm_optimizer.search.pareto import front_of, hypervolume
 from worm_optimizer.search.search_settings import Nsga2Settings
 
 
-@dataclass(frozen=True)
-class Generation:
-    """State of the search after a generation.
+def nsga2_front(
+    task: Task, settings: Nsga2Settings, progress: Callable[[float], None] = lambda _: None
+) -> Points:
+    """Run NSGA-II on a task, and return the non-dominated gaits of all evaluated ones, by rising speed.
 
-    Attributes:
-        number: number of the generation, from 1.
-        of: number of all generations.
-        evaluations: number of gaits evaluated so far.
-        front: non-dominated gaits of all evaluated so far, not only of the present population, by rising speed.
-        hypervolume: hypervolume of the front in m/s·W, see `pareto.hypervolume`.
-    """
-
-    number: int
-    of: int
-    evaluations: int
-    front: Points
-    hypervolume: float
-
-
-def generations(
-    task: Task, settings: Nsga2Settings, reference_power: float
-) -> Iterator[Generation]:
-    """Run NSGA-II on a task, and yield each generation. Equal seeds result in equal fronts.
-
-    ``reference_power`` in W is the corner of the reported hypervolume.
+    Equal seeds result in equal fronts. ``progress`` is called with the finished share of the generations.
     """
     problem = _gait_problem(task.bounds)
     algorithm = NSGA2(pop_size=settings.population)
     termination = ("n_gen", settings.generations)
     algorithm.setup(problem, termination=termination, seed=settings.seed, verbose=False)
-    best: list[Points] = []
-    evaluations = 0
+    front = task.points(np.empty(0), np.empty(0))
     while algorithm.has_next():
         population = algorithm.ask()
         if population is None:  # All gaits of the box are known: a bound has one value, or few.
-            return
+            break
         offspring = task.points(*population.get("X").T)
         _assign(problem, population, offspring)
         algorithm.tell(infills=population)
-        evaluations += len(offspring)
-        front = front_of(Points.join(*best, offspring))
-        best = [front]
-        yield Generation(
-            number=algorithm.n_gen - 1,
-            of=settings.generations,
-            evaluations=evaluations,
-            front=front,
-            hypervolume=hypervolume(front, reference_power),
-        )
+        front = front_of(Points.join(front, offspring))
+        progress((algorithm.n_gen - 1) / settings.generations)
+    return front
 
 
 def _gait_problem(bounds: Bounds) -> Problem:
@@ -106,7 +79,7 @@ class Comparison:
 
     Attributes:
         front: front of NSGA-II.
-        hypervolume_share: its hypervolume, relative to that of the exact front; see `reference_power_of`.
+        hypervolume_share: its hypervolume, relative to that of the exact front.
         missed_branches: grooves per cycle of the branches that only the exact front contains.
         largest_excess_power: largest relative excess of the power of a gait of NSGA-II over the lowest power of all
             gaits that are at least as fast.
@@ -116,11 +89,6 @@ class Comparison:
     hypervolume_share: float
     missed_branches: tuple[float, ...]
     largest_excess_power: float
-
-
-def reference_power_of(exact: ExactFront) -> float:
-    """Return the power at the corner of the hypervolumes in W."""
-    return _CORNER * float(exact.front.power.max())
 
 
 def compared(exact: ExactFront, front: Points) -> Comparison:
@@ -134,7 +102,7 @@ def compared(exact: ExactFront, front: Points) -> Comparison:
     scan = np.linspace(box.stroke_low, box.stroke_high, strokes)
     edges = exact.task.edges(frequency, np.tile(scan, (frequency.size, 1)))
     best = front_of(Points.join(exact.front, edges.points))
-    corner = reference_power_of(exact)
+    corner = _CORNER * float(exact.front.power.max())  # W
     missed = sorted(set(exact.front.grooves.tolist()) - set(front.grooves.tolist()))
     return Comparison(
         front=front,

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lab_files import write_bench_tests
 from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import joined_session
 from unrendered import leave_runs_unrendered
@@ -397,33 +396,14 @@ def test_the_same_recording_gives_the_same_bytes(page: Path, special: RecordedGa
 
 
 @pytest.mark.usefixtures("unrendered")
-def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run
-):
-    monkeypatch.chdir(tmp_path)
-    bellows, fin = write_bench_tests(tmp_path)
-    write_bag(tmp_path / "run", simulated_run(2))
-    folder = tmp_path / "identification"
-    (folder / "figures").mkdir(parents=True)
-    (folder / "report.md").write_text(
-        "# Identification\n\n8 runs of <mine>, k_eng and k_dis\n\n| a | b |\n| --- | --- |\n| c | d_e |\n\n"
-        "## Figures\n\n![run](figures/run_01_motion.png)\n"
-    )
-    (folder / "figures" / "run_01_motion.png").write_bytes(b"an image")
-    (tmp_path / "mine.yaml").write_text("gain: 0.9\nintervals: {gain: [0.88, 0.92]}\n")
-    options = ("--bellows", bellows, "--fin", fin, "--identification", folder)
-    options += ("--identification", "mine.yaml", "--without-front", "--output", "page")
-    assert run(command, "run", *options)[0] == 0
-    text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
-    for kind in ("bellows", "fin"):
-        image = (tmp_path / "page" / "figures" / f"{kind}.png").read_bytes()
-        assert base64.b64encode(image).decode() in text
-    assert base64.b64encode(b"an image").decode() in text
-    assert "run 01 motion" in text
-    assert "8 runs of &lt;mine&gt;, k_eng and k_dis" in text
-    assert re.search(r"<td>c</td>\s*<td>d_e</td>", text)
-    assert "figures/run_01_motion" not in text
+def test_identified_parameters_are_on_the_page(gait: RecordedGait, tmp_path: Path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("gain: 0.9\nintervals: {gain: [0.88, 0.92]}\n")
+    report = Report("mine", [gait], identification=str(path))
+    text = build_report(report, tmp_path / "page").read_text(encoding="utf-8")
     assert "0.88 to 0.92" in text
+    image = (tmp_path / "page" / "figures" / "parameters.png").read_bytes()
+    assert base64.b64encode(image).decode() in text
 
 
 # --- the command ----------------------------------------------------------------------------------

@@ -11,9 +11,9 @@ from gaits_for_tests import COARSE
 from worm_model.errors import InputError
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
-from worm_model.simulation.simulator import cost_of_transport, evaluate_gait, simulate
+from worm_model.simulation.simulator import cost_of_transport, evaluate_gait
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.evaluation.command_shape import SHAPE_ROW, SINUSOID, peak_rates, shapes_of
+from worm_optimizer.evaluation.command_shape import SHAPE_ROW, peak_rates, shapes_of
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
 from worm_optimizer.search.exact import ExactFront, Zoom, exact_front
@@ -151,15 +151,6 @@ def test_a_limit_of_the_pushing_force_bounds_the_contraction_share_at_every_freq
     assert largest_excess(front, within) < ACCEPTED
 
 
-def test_the_mean_force_does_not_depend_on_the_samples():
-    shape = np.broadcast_to(SINUSOID, 1).copy()
-    shape["profile"], shape["contraction_share"] = Profile.TRAPEZOID, 0.8
-    mean = peaks(np.array([0.06]), np.array([0.1]), 1, PAPER, shape=shape).mean_force
-    gait = Gait(0.06, 0.1, contraction_share=0.8, profile=Profile.TRAPEZOID)
-    pull = simulate(gait).at(gait.period * (2.0 + np.arange(20_000) / 20_000)).cable_force
-    assert mean == pytest.approx(np.maximum(pull, 0.0).mean(), rel=2e-3)
-
-
 def test_the_corner_of_the_papers_shape_is_the_papers_edge():
     task, frequency = MarginTask(margin=3.4e-3), np.array([0.1, 0.15, 0.2])
     paper = task.edges(frequency, np.tile(np.linspace(0.01, 0.09, 41), (3, 1)))
@@ -189,17 +180,6 @@ def test_where_the_longest_swing_loses_a_groove_the_papers_gait_is_not_cheaper()
     assert np.all(found.power <= paper.points.power * (1.0 + ACCEPTED))
     edges = shaped.edges(frequency, scan, np.array([6]))
     assert edges.points.power.min() <= paper.points.power[0] * (1.0 + ACCEPTED)
-
-
-def test_a_holding_power_makes_pretension_dearer():
-    task = MarginTask(holding_power=0.05)
-    front = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
-    free = shaped_front(0.0).front
-    pull = peaks(free.stroke, free.frequency, 1, PAPER, shape=free.shape).mean_force
-    assert np.all(pull > 0.0)
-    assert front.power.min() > free.power.min()
-    again = MarginTask().points(front.stroke, front.frequency, front.shape)
-    assert np.all(front.power > again.power)
 
 
 @pytest.mark.parametrize(
