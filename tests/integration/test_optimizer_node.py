@@ -116,6 +116,12 @@ def test_an_optimisation_is_served_in_both_directions(start, user):
     reverse = user.request_gait(direction=Gait.REVERSE).prediction
     assert (reverse.gait.direction, reverse.gait.margin) == (Gait.REVERSE, 0.001)
     assert reverse.power == pytest.approx(done.result.cruise.power, rel=1e-6)
+    goal = ScanMargin.Goal(lowest=0.0032, highest=0.0036, step=1e-4, direction=1)
+    scan = user.outcome(user.send("scan_margin", goal)).result
+    assert scan.cliff_margin == pytest.approx(0.003419, abs=1e-6)
+    assert scan.lost_branch == 2
+    assert scan.closed_form_cliff_margin == pytest.approx(0.003419, abs=1e-6)
+    assert list(scan.optimal_branch) == [2, 2, 2, 1, 1]
 
 
 def test_what_cannot_be_computed_has_its_reason_and_changes_nothing(start, user):
@@ -140,18 +146,6 @@ def test_where_the_robot_rests_the_front_is_another(start, user):
     assert resting.prediction.gait.stroke != own.prediction.gait.stroke
     assert "margin 2.00 mm, as at groove phase" in resting.message
     assert not user.request_gait(initial_length=2.0).success
-
-
-def test_the_scan_finds_the_cliff(start, user):
-    start()
-    goal = ScanMargin.Goal(lowest=0.0032, highest=0.0036, step=1e-4, direction=1)
-    handle = user.send("scan_margin", goal)
-    done = user.outcome(handle)
-    assert done.status == GoalStatus.STATUS_SUCCEEDED
-    assert done.result.cliff_margin == pytest.approx(0.003419, abs=1e-6)
-    assert done.result.lost_branch == 2
-    assert done.result.closed_form_cliff_margin == pytest.approx(0.003419, abs=1e-6)
-    assert list(done.result.optimal_branch) == [2, 2, 2, 1, 1]
 
 
 def test_a_new_parameter_file_invalidates_the_front(start, user, probe, tmp_path):

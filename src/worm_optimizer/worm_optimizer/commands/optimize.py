@@ -82,15 +82,6 @@ def _predicted(gait: Prediction) -> dict[str, Any]:
     return {name: value for name, value in asdict(gait).items() if name not in _FULL}
 
 
-def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return the comparison with the exact front for the machine-readable output."""
-    return {
-        "hypervolume_share": comparison.hypervolume_share,
-        "missed_branches": list(comparison.missed_branches),
-        "largest_excess_power": comparison.largest_excess_power,
-    }
-
-
 def describe(
     front: RobustFront,
     nominal: dict[str, Prediction],
@@ -147,10 +138,11 @@ def _optimize(options: argparse.Namespace) -> None:
     with elapsed("front"):
         front = make_front(content, settings, options.direction)
         nominal = nominal_gaits(content, settings, options.direction)
-    comparison = None
+    comparison, compared = None, {}
     if options.method == NSGA2:
         comparison = _searched(front, search)
         front = replaced(front, comparison.front)
+        compared = {name: value for name, value in vars(comparison).items() if name != "front"}
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
         from worm_optimizer.report.front_plots import front_figure
@@ -165,7 +157,7 @@ def _optimize(options: argparse.Namespace) -> None:
         {
             **front_json(front, nominal),
             "method": options.method,
-            **(comparison_json(comparison) if comparison else {}),
+            **compared,
             "uncertainty": uncertainty,
             "limits": limits,
             "waveform": settings.waveform.value,

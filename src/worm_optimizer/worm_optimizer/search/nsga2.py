@@ -11,11 +11,12 @@ from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.core.evaluator import Evaluator
 from pymoo.core.population import Population
 from pymoo.core.problem import Problem
+from pymoo.indicators.hv import HV
 from pymoo.problems.static import StaticProblem
 
 from worm_optimizer.evaluation.task import Array, Bounds, Index, Points, Task
 from worm_optimizer.search.exact import ExactFront
-from worm_optimizer.search.pareto import front_of, hypervolume
+from worm_optimizer.search.pareto import front_of
 from worm_optimizer.search.search_settings import Nsga2Settings
 
 
@@ -79,7 +80,7 @@ class Comparison:
 
     Attributes:
         front: front of NSGA-II.
-        hypervolume_share: its hypervolume, relative to that of the exact front.
+        hypervolume_share: its hypervolume, relative to that of the exact front; see `hypervolume`.
         missed_branches: grooves per cycle of the branches that only the exact front contains.
         largest_excess_power: largest relative excess of the power of a gait of NSGA-II over the lowest power of all
             gaits that are at least as fast.
@@ -109,6 +110,13 @@ def compared(exact: ExactFront, front: Points) -> Comparison:
         hypervolume_share=hypervolume(front, corner) / hypervolume(best, corner),
         missed_branches=tuple(missed),
         largest_excess_power=float(np.max(front.power / _lowest_power(best, front) - 1.0)),
+    )
+
+
+def hypervolume(front: Points, reference_power: float) -> float:
+    """Return the area in m/s·W that a front dominates up to the corner (0 m/s, ``reference_power`` W)."""
+    return float(
+        HV(ref_point=[0.0, reference_power])(np.stack([-front.speed, front.power], axis=1))
     )
 
 

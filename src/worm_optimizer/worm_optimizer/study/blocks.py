@@ -34,8 +34,11 @@ Say = Callable[[str], None]
 
 _DIGEST = hashlib.sha256().digest_size  # bytes
 _CONNECT = 10.0  # timeout of the connection to the scheduler, s
-# Errors of the client when its scheduler ends
-_LOSSES = (CancelledError, AsyncioCancelledError, CommClosedError, ClosedClientError, TimeoutError)
+# Errors of the client when several workers die while they compute a block, or when the scheduler ends
+_LOSSES = (
+    *(KilledWorker, CancelledError, AsyncioCancelledError, CommClosedError, ClosedClientError),
+    TimeoutError,
+)
 
 
 class LostError(RuntimeError):
@@ -155,13 +158,10 @@ def _computed(
             for future in as_completed(futures, loop=client.loop):
                 yield futures[future], future.result()
                 future.release()  # The worker may forget the result.
-        except KilledWorker:
-            raise LostError(
-                "all workers that computed a block have died: read the workers' logs; out of memory is the usual cause"
-            ) from None
         except _LOSSES as error:
             raise LostError(
-                f"the connection to the scheduler is lost ({type(error).__name__})"
+                f"the scheduler, or all workers that computed a block, are lost ({type(error).__name__}): "
+                "read their logs; out of memory is the usual cause"
             ) from None
 
 
@@ -172,16 +172,11 @@ def _block(version: str, compute: Compute, piece: np.ndarray) -> Block:
 
 
 def _check(address: str, answer: str | BaseException, version: str) -> None:
-    """Raise `InputError` unless the code of a worker has the client's version."""
-    if isinstance(answer, BaseException):
-        raise InputError(
-            f"worker {address} cannot import worm_optimizer.study ({answer}); "
-            "install worm_msgs, worm_model and worm_optimizer there"
-        )
+    """Raise `InputError` unless a worker's ``answer``, which may be an import error, is the version of the client."""
     if answer != version:
         raise InputError(
             f"worker {address} has another version (code {answer}, here {version}); "
-            "install the version of this machine there"
+            "install worm_msgs, worm_model and worm_optimizer of this machine there"
         )
 
 

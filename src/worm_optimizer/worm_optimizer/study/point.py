@@ -25,7 +25,7 @@ from worm_optimizer.search.exact import ExactFront, power_cost, speed_cost, tran
 from worm_optimizer.search.front import any_phase_task, front_of_task, thinned
 from worm_optimizer.search.gait_request import Objective, at_power, at_speed
 from worm_optimizer.search.price_of_robustness import price_of_robustness
-from worm_optimizer.study.study_file import BOUNDS, LIMITS, PARAMETER_FILE, Array, Study
+from worm_optimizer.study.study_file import BOUNDS, LIMITS, PARAMETER_FILE, Array, Quantity, Study
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions of the results of one point
 DONE, FAILED = 1, 2  # values of the variable "state"
@@ -237,11 +237,13 @@ def task_of(given: Mapping[str, float], parameters: Parameters) -> MarginTask:
     return MarginTask(
         parameters,
         int(given.get("direction", FORWARD)),
-        bounds=Bounds(**{field: given[key] for key, field in BOUNDS.items() if key in given}),
-        limits=ActuatorLimits(
-            **{field: given[key] for key, field in LIMITS.items() if key in given}
-        ),
+        bounds=Bounds(**_fields(BOUNDS, given)),
+        limits=ActuatorLimits(**_fields(LIMITS, given)),
     )
+
+
+def _fields(rows: Mapping[str, Quantity], given: Mapping[str, float]) -> dict[str, float]:
+    return {row.field: given[name] for name, row in rows.items() if name in given}
 
 
 def _robust(

@@ -46,30 +46,44 @@ class StudyError(InputError):
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity: ``unit``, description, and admissible range. A value outside the range is probably in another unit."""
+    """Quantity of a study.
+
+    Attributes:
+        unit: unit.
+        long_name: description.
+        low, high: admissible range; a value outside is probably in another unit.
+        field: field of `Bounds` or `ActuatorLimits`; empty for other quantities.
+    """
 
     unit: str
     long_name: str
     low: float
     high: float
+    field: str = ""
 
 
-#: Limits of the actuators, by the fields of `ActuatorLimits`
-LIMITS = {
-    "max_cable_speed_m_per_s": "cable_speed",
-    "max_cable_force_N": "cable_force",
-    "max_power_W": "electrical_power",
-    "stall_force_N": "stall_force",
-    "no_load_speed_m_s": "no_load_speed",
-    "max_push_force_N": "pushing_force",
-}
-#: Bounds of gaits, by the fields of `Bounds`
+def _positive(unit: str, long_name: str, field: str = "") -> Quantity:
+    return Quantity(unit, long_name, _SMALL, _LARGE, field)
+
+
+#: Bounds of gaits
 BOUNDS = {
-    "min_stroke_m": "stroke_low",
-    "max_stroke_m": "stroke_high",
-    "min_frequency_Hz": "frequency_low",
-    "max_frequency_Hz": "frequency_high",
+    "min_stroke_m": Quantity("m", "shortest stroke", _SMALL, MAX_STROKE, "stroke_low"),
+    "max_stroke_m": Quantity("m", "longest stroke", _SMALL, MAX_STROKE, "stroke_high"),
+    "min_frequency_Hz": Quantity("Hz", "lowest frequency", _SMALL, MAX_FREQUENCY, "frequency_low"),
+    "max_frequency_Hz": Quantity(
+        "Hz", "highest frequency", _SMALL, MAX_FREQUENCY, "frequency_high"
+    ),
 }
+#: Limits of the actuators
+LIMITS = {
+    "max_cable_speed_m_per_s": _positive("m/s", "highest cable speed", "cable_speed"),
+    "max_cable_force_N": _positive("N", "highest cable force", "cable_force"),
+    "max_power_W": _positive("W", "highest source power", "electrical_power"),
+    "stall_force_N": _positive("N", "cable force at which the motors stall", "stall_force"),
+    "no_load_speed_m_s": _positive("m/s", "cable speed of the motors without load", "no_load_speed"),
+    "max_push_force_N": _positive("N", "highest pushing force in the model's cable", "pushing_force"),
+}  # fmt: skip
 # Units in the notation of the CF conventions
 _CF_UNITS = {"°": "degree", "deg": "degree", "m²": "m2", "N·s/m": "N s/m"}
 
@@ -86,18 +100,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "margin_m": Quantity("m", "robustness margin", 0.0, MAX_MARGIN),
     "direction": Quantity("1", "direction: 1 forward, -1 reverse", -1.0, 1.0),
     "groove_phase_m": Quantity("m", "groove phase", -0.1, 0.1),
-    "min_stroke_m": Quantity("m", "shortest stroke", _SMALL, MAX_STROKE),
-    "max_stroke_m": Quantity("m", "longest stroke", _SMALL, MAX_STROKE),
-    "min_frequency_Hz": Quantity("Hz", "lowest frequency", _SMALL, MAX_FREQUENCY),
-    "max_frequency_Hz": Quantity("Hz", "highest frequency", _SMALL, MAX_FREQUENCY),
-    "max_cable_speed_m_per_s": Quantity("m/s", "highest cable speed", _SMALL, _LARGE),
-    "max_cable_force_N": Quantity("N", "highest cable force", _SMALL, _LARGE),
-    "max_power_W": Quantity("W", "highest source power", _SMALL, _LARGE),
-    "stall_force_N": Quantity("N", "cable force at which the motors stall", _SMALL, _LARGE),
-    "no_load_speed_m_s": Quantity("m/s", "cable speed of the motors without load", _SMALL, _LARGE),
-    "max_push_force_N": Quantity("N", "highest pushing force in the model's cable", _SMALL, _LARGE),
-    "at_power_W": Quantity("W", "power of the gait max_speed_at_power", _SMALL, _LARGE),
-    "at_speed_m_s": Quantity("m/s", "speed of the gait min_power_at_speed", _SMALL, _LARGE),
+    **BOUNDS,
+    **LIMITS,
+    "at_power_W": _positive("W", "power of the gait max_speed_at_power"),
+    "at_speed_m_s": _positive("m/s", "speed of the gait min_power_at_speed"),
 }
 _Name = Annotated[str, OneOf(tuple(QUANTITIES))]
 

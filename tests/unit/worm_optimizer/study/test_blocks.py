@@ -147,22 +147,8 @@ def foreign_worker(folder: Path, *packages: str) -> Iterator[str]:
 
 
 @pytest.mark.night
-def test_a_worker_of_another_version_is_rejected_by_name(tmp_path):
-    package = tmp_path / "worm_optimizer"
-    shutil.copytree(ROOT / "src/worm_optimizer/worm_optimizer", package)
-    with (package / "study/point.py").open("a") as file:
-        file.write("\n# another version\n")
-    shutil.copy(ROOT / "tests/helpers/worker_jobs.py", tmp_path)
-    with (
-        foreign_worker(tmp_path, "worm_model", "worm_msgs") as address,
-        pytest.raises(InputError, match=r"worker tcp.*another version"),
-    ):
-        found(tmp_path, Workers(address))
-
-
-@pytest.mark.night
 def test_a_block_that_kills_each_worker_is_one_line(tmp_path):
-    with pytest.raises(LostError, match=r"have died.*0 of 3 blocks are finished"):
+    with pytest.raises(LostError, match=r"are lost.*0 of 3 blocks are finished"):
         found(tmp_path, Workers(number=1), murder)
 
 
@@ -184,6 +170,6 @@ def test_a_worker_without_the_package_is_rejected_by_name_at_once(tmp_path):
     shutil.copy(ROOT / "tests/helpers/worker_jobs.py", tmp_path)
     with (
         foreign_worker(tmp_path, "worm_model", "worm_msgs") as address,
-        pytest.raises(InputError, match=r"worker tcp.*cannot import worm_optimizer"),
+        pytest.raises(InputError, match=r"worker tcp.*No module named"),
     ):
         found(tmp_path, Workers(address))
