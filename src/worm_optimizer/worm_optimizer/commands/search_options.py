@@ -33,7 +33,7 @@ def add_limit_options(parser: Parser) -> None:
 
 def add_campaign_options(parser: Parser) -> None:
     """Add the options for the settings of a front. `start.add_robot` adds those for the conditions."""
-    rows = (row for row in search_settings.SETTINGS if row.parameter not in CONDITION_ROWS)
+    rows = (row for row in search_settings.SETTINGS if row.name not in CONDITION_ROWS)
     _add_settings(parser, tuple(rows))
 
 
@@ -51,7 +51,7 @@ def chosen_settings(options: argparse.Namespace) -> search_settings.Settings:
         if value is not None:
             values |= dict(
                 zip(
-                    (row.parameter for row in rows),
+                    (row.name for row in rows),
                     value if len(rows) > 1 else [value],
                     strict=True,
                 )
@@ -69,7 +69,7 @@ def chosen_settings(options: argparse.Namespace) -> search_settings.Settings:
 def _add_settings(parser: Parser, chosen: tuple[search_settings.SettingRow, ...]) -> None:
     for option, rows in _by_option(chosen):
         first = rows[0]
-        meaning = "; ".join(row.meaning for row in rows)
+        meaning = "; ".join(row.description for row in rows)
         default = " ".join(_as_text(row.default) for row in rows)
         number_kind = int if isinstance(first.default, int) else number
         parser.add_argument(

@@ -50,7 +50,7 @@ class ShutdownError(InputError):
 
 def _settings_of_node(node: Node) -> Settings:
     """Return the search settings from a node's parameters. Raises `InputError` if they are inconsistent."""
-    return settings_of({row.parameter: node.get_parameter(row.parameter).value for row in SETTINGS})
+    return settings_of({row.name: node.get_parameter(row.name).value for row in SETTINGS})
 
 
 class OptimizerNode(Node):

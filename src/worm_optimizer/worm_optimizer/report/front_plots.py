@@ -62,12 +62,8 @@ def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> 
     for gait in gaits:
         _cross(axes, gait.expected.bands, _EXPECTED)
         _cross(axes, gait.measured, _MEASURED)
-    fastest = max(
-        [axes.get_xlim()[1], *(1.2 * plot_style.MM * g.measured.speed.value for g in gaits)],
-        key=_or_zero,
-    )
-    most = max([axes.get_ylim()[1], *(1.15 * g.measured.power.value for g in gaits)], key=_or_zero)
-    axes.set(xlim=(0.0, fastest), ylim=(0.0, most))
+    axes.autoscale()
+    axes.set(xlim=(0.0, None), ylim=(0.0, None))
     for gait in gaits:
         _name(
             axes,
@@ -214,10 +210,6 @@ def _reach(band: Band, scale: float) -> list[list[float]]:
 
 def _columns(gaits: tuple[Prediction, ...], *names: str) -> list[Array]:
     return [np.array([getattr(gait, name) for gait in gaits]) for name in names]
-
-
-def _or_zero(value: float) -> float:
-    return value if np.isfinite(value) else 0.0
 
 
 def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoint]) -> Figure:

@@ -70,7 +70,7 @@ def predict(
         )
         for draw in (phase_known, phase_unknown)
     )
-    more = zip(*(column.tolist() for column in (lower, upper, known, unknown)), strict=True)
+    rows = zip(lower.tolist(), upper.tolist(), known.tolist(), unknown.tolist(), strict=True)
     return tuple(
         replace(
             gait,
@@ -80,7 +80,7 @@ def predict(
             success_probability_any_phase=any_phase,
         )
         for gait, (to_lower, to_upper, phase_is_known, any_phase) in zip(
-            outline(task, stroke, frequency, margin, shape), more, strict=True
+            outline(task, stroke, frequency, margin, shape), rows, strict=True
         )
     )
 

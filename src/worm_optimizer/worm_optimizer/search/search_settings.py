@@ -176,32 +176,37 @@ class Settings:
             )
 
 
-@dataclass(frozen=True)
-class SettingRow:
-    """Setting, from which a parameter of the node, an option of the commands and a row of the docs are generated.
+@dataclass(frozen=True, kw_only=True)
+class SettingRow(ParameterRow):
+    """Setting: a parameter of the node, an option of the commands, and a row of the docs.
 
     Attributes:
-        parameter: name of the node's parameter.
         option: name of the commands' option. Two rows with the same option are the two values of this option.
-        default: default value.
-        meaning: description.
-        low, high: bounds of a number; None without a bound.
         choices: admissible texts; empty if all are admissible.
     """
 
-    parameter: str
     option: str
-    default: Any
-    meaning: str
-    low: float | None = None
-    high: float | None = None
     choices: tuple[str, ...] = ()
 
 
+def _row(
+    name: str,
+    option: str,
+    default: Any,
+    description: str,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> SettingRow:
+    """Return a setting. Only the conditions may be changed while the node runs."""
+    read_only = name not in CONDITION_ROWS
+    row = name, default, description, low, high, read_only
+    return SettingRow(*row, option=option, choices=choices)
+
+
 _BOX, _SCAN, _PLAIN, _SHAPES = Bounds(), ScanSettings(), Settings(), ShapeBounds()
-_Row = SettingRow
 _CONDITIONS = tuple(
-    _Row(
+    _row(
         name,
         row["option"].removeprefix("--"),
         0.0,
@@ -213,27 +218,27 @@ _CONDITIONS = tuple(
 )
 # The rows of each part of the settings, in the order of its fields
 _BOX_ROWS = (
-    _Row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
-    _Row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
-    _Row("frequency_low_hz", "frequencies", _BOX.frequency_low, "least frequency, Hz", 1e-3, MAX_FREQUENCY),
-    _Row("frequency_high_hz", "frequencies", _BOX.frequency_high, "greatest frequency, Hz", 1e-3, MAX_FREQUENCY),
+    _row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
+    _row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
+    _row("frequency_low_hz", "frequencies", _BOX.frequency_low, "least frequency, Hz", 1e-3, MAX_FREQUENCY),
+    _row("frequency_high_hz", "frequencies", _BOX.frequency_high, "greatest frequency, Hz", 1e-3, MAX_FREQUENCY),
 )  # fmt: skip
 _LIMIT_ROWS = (
-    _Row("limits.max_cable_speed_m_per_s", "max-cable-speed", 0.0, "greatest cable speed, m/s; 0: no limit", 0.0,
+    _row("limits.max_cable_speed_m_per_s", "max-cable-speed", 0.0, "greatest cable speed, m/s; 0: no limit", 0.0,
          100.0),
-    _Row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
-    _Row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
-    _Row("limits.max_push_force_n", "max-push-force", 0.0, "greatest force with which the cable may push in the model, "
+    _row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
+    _row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
+    _row("limits.max_push_force_n", "max-push-force", 0.0, "greatest force with which the cable may push in the model, "
          "N; 0: no limit", 0.0, 1e5),
 )  # fmt: skip
 _DRIVER_ROWS = (
-    _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits apply too; empty: none"),
-    _Row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
+    _row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits apply too; empty: none"),
+    _row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
          f"{', '.join(row.name for row in SERVO_MODELS)}; empty: unknown"),
-    _Row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
+    _row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
          "V; 0: the voltage that their manual recommends", 0.0, 100.0),
 )  # fmt: skip
-_WAVEFORM_ROW = _Row(
+_WAVEFORM_ROW = _row(
     "waveform",
     "waveform",
     Waveform.SINUSOID.value,
@@ -242,69 +247,57 @@ _WAVEFORM_ROW = _Row(
     choices=tuple(kind.value for kind in Waveform),
 )
 _SHAPE_ROWS = (
-    _Row("pretension_low_m", "pretensions", _SHAPES.pretension[0], "least pretension of shaped gaits, m", 0.0,
+    _row("pretension_low_m", "pretensions", _SHAPES.pretension[0], "least pretension of shaped gaits, m", 0.0,
          MAX_PRETENSION),
-    _Row("pretension_high_m", "pretensions", _SHAPES.pretension[1], "greatest pretension, m; the greatest stroke "
+    _row("pretension_high_m", "pretensions", _SHAPES.pretension[1], "greatest pretension, m; the greatest stroke "
          "bounds pretension and stroke together", 0.0, MAX_PRETENSION),
-    _Row("contraction_share_low", "contraction-shares", _SHAPES.contraction_share[0], "least contraction share of "
+    _row("contraction_share_low", "contraction-shares", _SHAPES.contraction_share[0], "least contraction share of "
          "shaped gaits", *CONTRACTION_SHARE_RANGE),
-    _Row("contraction_share_high", "contraction-shares", _SHAPES.contraction_share[1], "greatest contraction share",
+    _row("contraction_share_high", "contraction-shares", _SHAPES.contraction_share[1], "greatest contraction share",
          *CONTRACTION_SHARE_RANGE),
-    _Row("ramp_share_low", "ramp-shares", _SHAPES.ramp_share[0], "least ramp share of shaped gaits", *RAMP_SHARE_RANGE),
-    _Row("ramp_share_high", "ramp-shares", _SHAPES.ramp_share[1], "greatest ramp share", *RAMP_SHARE_RANGE),
+    _row("ramp_share_low", "ramp-shares", _SHAPES.ramp_share[0], "least ramp share of shaped gaits", *RAMP_SHARE_RANGE),
+    _row("ramp_share_high", "ramp-shares", _SHAPES.ramp_share[1], "greatest ramp share", *RAMP_SHARE_RANGE),
 )  # fmt: skip
 _SCAN_ROWS = (
-    _Row("scan_lowest_m", "lowest", _SCAN.lowest, "least margin of the scan, m", 0.0, MAX_MARGIN),
-    _Row("scan_highest_m", "highest", _SCAN.highest, "greatest margin of the scan, m", 0.0, MAX_MARGIN),
-    _Row("scan_step_m", "step", _SCAN.step, "step between the margins of the scan, m", 1e-6, MAX_MARGIN),
+    _row("scan_lowest_m", "lowest", _SCAN.lowest, "least margin of the scan, m", 0.0, MAX_MARGIN),
+    _row("scan_highest_m", "highest", _SCAN.highest, "greatest margin of the scan, m", 0.0, MAX_MARGIN),
+    _row("scan_step_m", "step", _SCAN.step, "step between the margins of the scan, m", 1e-6, MAX_MARGIN),
 )  # fmt: skip
 #: Box of gaits and limits of the robot
 LIMIT_SETTINGS = (*_BOX_ROWS, *_LIMIT_ROWS, *_DRIVER_ROWS)
 # Settings of a margin scan, which also apply to a front
 SCAN_SETTINGS = (*LIMIT_SETTINGS, *_CONDITIONS, _WAVEFORM_ROW, *_SHAPE_ROWS, *_SCAN_ROWS)
 FRONT_SETTINGS: tuple[SettingRow, ...] = (
-    _Row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: the last margin of the scan before "
+    _row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: the last margin of the scan before "
          "the cliff"),
-    _Row("margin_n", "margin-n", math.nan, "robustness margin, given as the load that it allows for, N"),
-    _Row("robustness", "robustness", Robustness.MARGIN.value, "criterion of robustness: an enlarged switching "
+    _row("margin_n", "margin-n", math.nan, "robustness margin, given as the load that it allows for, N"),
+    _row("robustness", "robustness", Robustness.MARGIN.value, "criterion of robustness: an enlarged switching "
          "threshold (margin), a given probability that the gait gains its grooves (chance), or that it gains them at "
          "every groove phase (any_phase)", choices=tuple(kind.value for kind in Robustness)),
-    _Row("probability", "probability", _PLAIN.probability, "for robustness chance: lowest admissible probability "
+    _row("probability", "probability", _PLAIN.probability, "for robustness chance: lowest admissible probability "
          "that the gait gains its grooves", 0.0, 1.0),
-    _Row("seed", "seed", _PLAIN.seed, "seed of the Monte Carlo draws, and of NSGA-II", 0, 2**32 - 1),
-    _Row("samples", "samples", _PLAIN.samples, "number of draws of the parameters for a success probability", 1,
+    _row("seed", "seed", _PLAIN.seed, "seed of the Monte Carlo draws, and of NSGA-II", 0, 2**32 - 1),
+    _row("samples", "samples", _PLAIN.samples, "number of draws of the parameters for a success probability", 1,
          1_000_000),
 )  # fmt: skip
 SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
 
 
 def rows() -> list[ParameterRow]:
-    """Return the parameters of the node. Only the parameter file and the conditions may be changed later."""
-    return [
-        ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
-        *(
-            ParameterRow(
-                row.parameter,
-                row.default,
-                row.meaning,
-                row.low,
-                row.high,
-                read_only=row.parameter not in CONDITION_ROWS,
-            )
-            for row in SETTINGS
-        ),
-    ]
+    """Return the parameters of the node."""
+    file = ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values.")
+    return [file, *SETTINGS]
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """Return the settings from values by `SettingRow.parameter`. A missing value is the default of its row.
+    """Return the settings from values by name. A missing value is the default of its row.
 
     Raises `InputError` if the values are inadmissible or inconsistent.
     """
-    value = {row.parameter: row.default for row in SETTINGS} | dict(values)
+    value = {row.name: row.default for row in SETTINGS} | dict(values)
 
     def of(rows: Sequence[SettingRow]) -> list[Any]:
-        return [value[row.parameter] for row in rows]
+        return [value[row.name] for row in rows]
 
     speed, force, power, push = (limit or math.inf for limit in of(_LIMIT_ROWS))
     file, model, voltage = of(_DRIVER_ROWS)
