@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -116,17 +115,6 @@ def overview_figure(
     )
 
 
-def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figure:
-    """Return a figure of several runs: the advance of x1 along each gait's direction, and the energy."""
-    return _figure(
-        frame,
-        [
-            _Panel("advance of x1 (mm)", advances, plot_style.MM, 3.0),
-            _Panel("energy (J)", energies),
-        ],
-    )
-
-
 def simulation_figure(
     frame: Frame, positions: Curves, lengths: Curves, forces: Curves, powers: Curves, pitch: float
 ) -> Figure:
@@ -147,11 +135,6 @@ def simulation_figure(
             _Panel("source power (W)", powers),
         ],
     )
-
-
-def run_style(number: int) -> dict[str, Any]:
-    """Return the style of one of several runs, counted from 0."""
-    return {"color": plot_style.CYCLE[number % len(plot_style.CYCLE)], "linewidth": 1.2}
 
 
 def _positions(curves: Curves, pitch: float) -> _Panel:

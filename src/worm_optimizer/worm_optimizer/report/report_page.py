@@ -22,7 +22,7 @@ from worm_optimizer.report.front_plots import measured_front_figure, price_figur
 from worm_optimizer.report.identified_parameters import parameter_rows, parameters_figure
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.report.run_figures import RUN_FIGURES, draw_overlay
+from worm_optimizer.report.run_figures import RUN_FIGURES
 
 PAGE = "report.html"
 REPORT_SUFFIX = "_report"  # end of the name of a report's folder
@@ -110,7 +110,6 @@ def build_report(report: Report, folder: Path) -> Path:
         "cap": agreement.LEAST_DISAGREEMENT,
         "orders": list(agreement.orders(report.gaits).values()),
         "failures": list(_failures(report.gaits)),
-        "overlay": _overlay(report.gaits, pictures),
         "front": _front_pictures(report, pictures),
         "warned": any(e.level == "warning" for gait in report.gaits for e in gait.events),
         "runs": [_run(gait, number, pictures) for number, gait in enumerate(report.gaits, 1)],
@@ -171,16 +170,6 @@ def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
             if event.level == "error":
                 when = f" at {event.time:.2f} s" if math.isfinite(event.time) else ""
                 yield f"{agreement.title_of(gait.name)}, {event.source}{when}: {event.text}"
-
-
-def _overlay(gaits: Sequence[RecordedGait], pictures: _Pictures) -> Picture | None:
-    if len(gaits) < 2:
-        return None
-    caption = (
-        "Advance of the rear module along the direction of each gait, and accumulated energy: measured (broad), and "
-        "predicted by the model from the command alone (thin)."
-    )
-    return pictures.save("runs", draw_overlay(gaits), caption)
 
 
 def _front_pictures(report: Report, pictures: _Pictures) -> list[Picture]:

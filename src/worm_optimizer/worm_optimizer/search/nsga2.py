@@ -5,19 +5,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pymoo.algorithms.moo.nsga2 import NSGA2
-from pymoo.core.evaluator import Evaluator
-from pymoo.core.population import Population
 from pymoo.core.problem import Problem
 from pymoo.indicators.hv import HV
-from pymoo.problems.static import StaticProblem
+from pymoo.optimize import minimize
 
-from worm_optimizer.evaluation.task import Array, Bounds, Index, Points, Task
+from worm_optimizer.evaluation.task import Array, Index, Points, Task
 from worm_optimizer.search.exact import ExactFront
 from worm_optimizer.search.pareto import front_of
 from worm_optimizer.search.search_settings import Nsga2Settings
+
+
+class _GaitProblem(Problem):
+    """Decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
+
+    The constraint excludes gaits that violate a limit or do not move. Gaits that do not move need the least power.
+    They would therefore be Pareto-optimal in the problem as the paper states it. ``front`` contains the non-dominated
+    gaits of all evaluated ones.
+    """
+
+    def __init__(self, task: Task) -> None:
+        box = task.bounds
+        low, high = (
+            np.array([box.stroke_low, box.frequency_low]),
+            np.array([box.stroke_high, box.frequency_high]),
+        )
+        super().__init__(n_var=2, n_obj=2, n_ieq_constr=1, xl=low, xu=high)
+        self._task = task
+        self.front = task.points(np.empty(0), np.empty(0))
+
+    def _evaluate(self, x: Array, out: dict[str, Array], *_: Any, **__: Any) -> None:
+        points = self._task.points(*x.T)
+        self.front = front_of(Points.join(self.front, points))
+        out["F"] = np.column_stack([-points.speed, points.power])
+        out["G"] = points.violation[:, np.newaxis]
 
 
 def nsga2_front(
@@ -27,46 +51,15 @@ def nsga2_front(
 
     Equal seeds result in equal fronts. ``progress`` is called with the finished share of the generations.
     """
-    problem = _gait_problem(task.bounds)
-    algorithm = NSGA2(pop_size=settings.population)
-    termination = ("n_gen", settings.generations)
-    algorithm.setup(problem, termination=termination, seed=settings.seed, verbose=False)
-    front = task.points(np.empty(0), np.empty(0))
-    while algorithm.has_next():
-        population = algorithm.ask()
-        if population is None:  # All gaits of the box are known: a bound has one value, or few.
-            break
-        offspring = task.points(*population.get("X").T)
-        _assign(problem, population, offspring)
-        algorithm.tell(infills=population)
-        front = front_of(Points.join(front, offspring))
-        progress((algorithm.n_gen - 1) / settings.generations)
-    return front
-
-
-def _gait_problem(bounds: Bounds) -> Problem:
-    """Return the problem: decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
-
-    The constraint excludes gaits that violate a limit or do not move. Gaits that do not move need the least power.
-    They would therefore be Pareto-optimal in the problem as the paper states it.
-    """
-    return Problem(
-        n_var=2,
-        n_obj=2,
-        n_ieq_constr=1,
-        xl=np.array([bounds.stroke_low, bounds.frequency_low]),
-        xu=np.array([bounds.stroke_high, bounds.frequency_high]),
-    )
-
-
-def _assign(problem: Problem, population: Population, points: Points) -> None:
-    """Assign objectives and violations of evaluated gaits to the individuals of a population."""
-    static = StaticProblem(
+    problem, generations = _GaitProblem(task), settings.generations
+    minimize(
         problem,
-        F=np.column_stack([-points.speed, points.power]),
-        G=points.violation[:, np.newaxis],
+        NSGA2(pop_size=settings.population),
+        ("n_gen", generations),
+        seed=settings.seed,
+        callback=lambda algorithm: progress(algorithm.n_gen / generations),
     )
-    Evaluator().eval(static, population)
+    return problem.front
 
 
 # Power at the corner of the hypervolume, relative to the highest power of the exact front. With 1, the fastest gait
