@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionServer
@@ -40,7 +40,6 @@ REJECTIONS = (InputError,)
 MOST_RESTING = 8
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 
-_Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 
@@ -90,16 +89,11 @@ class OptimizerNode(Node):
 
     # --- the fronts --------------------------------------------------------------------------------
 
-    def _computed(
-        self,
-        compute: Callable[_Arguments, _Result],
-        *arguments: _Arguments.args,
-        **keywords: _Arguments.kwargs,
-    ) -> _Result:
+    def _computed(self, compute: Callable[..., _Result], *arguments: Any) -> _Result:
         """Return the result of a long computation. Raises `ShutdownError` if a signal requests the end of the node."""
         try:
             with self._ended.interrupting():
-                return compute(*arguments, **keywords)
+                return compute(*arguments)
         except KeyboardInterrupt:
             raise ShutdownError("the optimizer is ending") from None
 

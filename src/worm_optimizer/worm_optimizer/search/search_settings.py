@@ -7,7 +7,7 @@ import enum
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 
@@ -79,7 +79,15 @@ class Nsga2Settings:
             raise InputError(f"search: seed {self.seed}: give one from 0 to {2**32 - 1}")
 
 
-class Robustness(enum.StrEnum):
+class _Choice(enum.StrEnum):
+    """Enumeration whose unknown names are rejected with the known ones."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> NoReturn:
+        raise InputError(f"{cls.__name__.lower()}: {value!r} is none of {', '.join(cls)}")
+
+
+class Robustness(_Choice):
     """Criterion that keeps gaits away from the edges of their branch."""
 
     MARGIN = "margin"  # the paper's enlarged threshold
@@ -87,24 +95,11 @@ class Robustness(enum.StrEnum):
     ANY_PHASE = "any_phase"  # a gait keeps its grooves at every groove phase
 
 
-class Waveform(enum.StrEnum):
+class Waveform(_Choice):
     """Waveforms among which a search chooses."""
 
     SINUSOID = "sinusoid"  # the paper's waveform
     SHAPED = "shaped"  # any pretension, contraction share, profile and ramp share within bounds
-
-
-_Choice = TypeVar("_Choice", Robustness, Waveform)
-
-
-def choice_of(kind: type[_Choice], name: str) -> _Choice:
-    """Return the member of an enumeration with a name. Raises `InputError`, with the known names, if there is none."""
-    try:
-        return kind(name)
-    except ValueError:
-        raise InputError(
-            f"{kind.__name__.lower()}: {name!r} is none of {', '.join(kind)}"
-        ) from None
 
 
 @dataclass(frozen=True)
@@ -313,13 +308,13 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
         bounds=bounds,
         limits=limits,
         scan=ScanSettings(*of(_SCAN_ROWS)),
-        robustness=choice_of(Robustness, value["robustness"]),
+        robustness=Robustness(value["robustness"]),
         probability=value["probability"],
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         seed=value["seed"],
         conditions=Conditions(**{name: value[name] for name in CONDITION_ROWS}),
-        waveform=choice_of(Waveform, value["waveform"]),
+        waveform=Waveform(value["waveform"]),
         shapes=ShapeBounds(*zip(shapes[::2], shapes[1::2], strict=True)),
         margin_force=None if math.isnan(value["margin_n"]) else value["margin_n"],
     )

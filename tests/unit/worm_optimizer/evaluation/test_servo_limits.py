@@ -31,7 +31,7 @@ def driver_file(tmp_path):
 
 
 def test_the_defaults_are_those_of_the_driver(driver_file):
-    assert read_driver_file(DRIVER_FILE) == read_driver_file(driver_file(port="/dev/x"))
+    assert read_driver_file(DRIVER_FILE) == read_driver_file(driver_file(port=DriverFile.port))
     driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
     for row in dataclasses.fields(DriverFile):
         value = driver
