@@ -150,14 +150,16 @@ def _values(name: str, row: Any) -> tuple[float, ...] | Range:
             return values
         case {"range": [low, high], **others} if not others:
             return Range(*_ends(name, low, high))
-        case {"from": low, "to": high, "count": int(count), **others} if not others:
-            if 2 <= count <= _MOST_VALUES:
-                spaced = np.linspace(*_ends(name, low, high), count)
-                return tuple(float(f"{value:.12g}") for value in spaced)
-    raise StudyError(
-        f"{name}: write a list of values, {{from: A, to: B, count: N}} with N from 2 to {_MOST_VALUES}, "
-        "or {range: [A, B]}"
-    )
+        case {"from": low, "to": high, "count": int(count), **others} if (
+            not others and 2 <= count <= _MOST_VALUES
+        ):
+            spaced = np.linspace(*_ends(name, low, high), count)
+            return tuple(float(f"{value:.12g}") for value in spaced)
+        case _:
+            raise StudyError(
+                f"{name}: write a list of values, {{from: A, to: B, count: N}} with N from 2 to {_MOST_VALUES}, "
+                "or {range: [A, B]}"
+            )
 
 
 def _ends(name: str, low: Any, high: Any) -> tuple[float, float]:
