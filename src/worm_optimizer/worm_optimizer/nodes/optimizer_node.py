@@ -19,7 +19,7 @@ from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.conditions import CONDITION_ROWS
-from worm_msgs.gait import Gait, gait_of
+from worm_msgs.gait import gait_of
 from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, spin
 from worm_msgs.srv import RequestGait
@@ -167,7 +167,10 @@ class OptimizerNode(Node):
         try:
             content = gait_request.resting_content(self._content, request.initial_length)
             if request.objective == RequestGait.Request.GIVEN:
-                answer = self._prediction(gait_of(request.gait), content)
+                gait = gait_of(request.gait)
+                prediction, warning = self._computed(given_gait, gait, content, self._settings)
+                done = gait_request.RequestStatus.DONE
+                answer = gait_request.GaitAnswer(done, warning, prediction)
             else:
                 wanted = gait_request.request_of(request.objective, request.speed, request.power)
                 direction = gait_request.checked_direction(request.direction)
@@ -175,11 +178,6 @@ class OptimizerNode(Node):
         except (InputError, SimulationError) as error:
             answer = gait_request.GaitAnswer(gait_request.RequestStatus.INVALID, str(error))
         return optimizer_messages.fill_response(response, answer)
-
-    def _prediction(self, gait: Gait, content: ParameterFile) -> gait_request.GaitAnswer:
-        """Return the prediction of a given gait. Raises the errors of `given_gait`."""
-        prediction, warning = self._computed(given_gait, gait, content, self._settings)
-        return gait_request.GaitAnswer(gait_request.RequestStatus.DONE, warning, prediction)
 
     def _answer(
         self, wanted: gait_request.GaitRequest, direction: int, content: ParameterFile
