@@ -11,7 +11,8 @@ import numpy as np
 
 from benchmarks.report import Row, cpu_time
 from worm_model.parameters import PAPER, ParameterFile
-from worm_optimizer.evaluation.servo_limits import limits_of, load_driver_file, servo_model
+from worm_msgs.driver_file import read_driver_file
+from worm_optimizer.evaluation.servo_limits import limits_of, servo_model
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.search import nsga2
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front
@@ -42,8 +43,7 @@ def _nsga2_row() -> Row:
         exact = exact_front(MarginTask(margin=margin), Resolution(), Zoom())
         for seed in SEEDS:
             search = Nsga2Settings(seed=seed)
-            *_, last = nsga2.generations(exact.task, search, nsga2.reference_power_of(exact))
-            found.append(nsga2.compared(exact, last.front))
+            found.append(nsga2.compared(exact, nsga2.nsga2_front(exact.task, search)))
     shares = 100.0 * np.array([each.hypervolume_share for each in found])
     excess = 100.0 * max(each.largest_excess_power for each in found)
     missed = sum(bool(each.missed_branches) for each in found)
@@ -63,7 +63,7 @@ def _scan_row(initial_length: float) -> Row:
 
 
 def _limited_rows() -> list[Row]:
-    driver = load_driver_file(Path(__file__).parents[1] / "src/worm_driver/config/driver.yaml")
+    driver = read_driver_file(Path(__file__).parents[1] / "src/worm_driver/config/driver.yaml")
     limits = limits_of(driver, servo_model("XM430-W350"), None)
     task, limited = MarginTask(limits=limits), dataclasses.replace(DEFAULTS, limits=limits)
     return [

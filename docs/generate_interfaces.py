@@ -64,7 +64,7 @@ def _messages() -> str:
 
 def _settings() -> str:
     rows = ["| Option | Node parameter | Default |", "| --- | --- | --- |"]
-    rows += [f"| `--{row.option}` | `{row.parameter}` | {_default(row)} |" for row in SETTINGS]
+    rows += [f"| `--{row.option}` | `{row.name}` | {_default(row)} |" for row in SETTINGS]
     return "\n".join(rows)
 
 

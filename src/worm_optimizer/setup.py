@@ -23,13 +23,11 @@ EXECUTABLES: list[str] = [  # "executable = module:function"
     "console = worm_optimizer.nodes.executables:console",
     "study = worm_optimizer.commands.study:main",
     "capability = worm_optimizer.commands.capability:main",
-    "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
 NEEDED = [
     "worm_model",
     "worm_msgs",
     "jinja2>=3.1",
-    "markdown2>=2.4",
     "matplotlib>=3.6",
     "numpy>=1.26",
     "pymoo>=0.6.1",

@@ -88,7 +88,6 @@ CONFINED = {
     "pydantic": ["worm_msgs/settings_file.py"],
     "pydantic_core": ["worm_msgs/settings_file.py"],
     "jinja2": ["worm_optimizer/report/report_page.py"],
-    "markdown2": ["worm_optimizer/report/identification_parts.py"],
     "mcap": ["worm_model/bags/*.py"],
     "mcap_ros2": ["worm_model/bags/*.py"],
     "rosbags": ["worm_model/bags/*.py"],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values shared by the optimizer's tests: coarse settings, invented gaits, a front of the paper's robot."""
+"""Values shared by the optimizer's tests: coarse settings, fronts, and random robots."""
 
 import dataclasses
 from functools import cache
@@ -8,7 +8,6 @@ import numpy as np
 
 from worm_model.parameters import PAPER, ParameterFile, Parameters
 from worm_optimizer.evaluation.task import Task
-from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.front import RobustFront, make_front
 from worm_optimizer.search.search_settings import ScanSettings, Settings
@@ -19,23 +18,6 @@ COARSE = Resolution(strokes=21, frequencies=17)
 QUICK = Settings(
     resolution=COARSE, scan=ScanSettings(lowest=0.0, highest=4e-3, step=1e-3), samples=20
 )
-
-
-def made_up(speed: float, power: float, **changes: float) -> Prediction:
-    """Return a prediction with a speed in m/s and a power in W; its other values are arbitrary."""
-    plain = Prediction(
-        *(0.07, speed / 0.0346, 1, 0.0034),
-        **{f"{kind}speed": speed for kind in ("", "nominal_")},
-        **{f"{kind}power": power for kind in ("", "nominal_")},
-        **{f"{kind}cost_of_transport": power / speed for kind in ("", "nominal_")},
-        **{f"{kind}grooves_per_cycle": 2.0 for kind in ("", "nominal_")},
-        groove_phase=0.0011,
-        stroke_to_lower_edge=0.005,
-        stroke_to_upper_edge=0.01,
-        success_probability=1.0,
-        success_probability_any_phase=0.5,
-    )
-    return dataclasses.replace(plain, **changes)
 
 
 @cache

@@ -8,23 +8,19 @@ from pathlib import Path
 import numpy as np
 
 
-def double(common: object, items: np.ndarray) -> dict[str, np.ndarray]:
-    return {"double": 2.0 * items[:, 0]}
+def double(points: np.ndarray) -> dict[str, np.ndarray]:
+    return {"double": 2.0 * points}
 
 
-def suicide(marker: str, items: np.ndarray) -> dict[str, np.ndarray]:
+def suicide(marker: str, points: np.ndarray) -> dict[str, np.ndarray]:
     """End the worker at the first call."""
     if not Path(marker).exists():
         Path(marker).touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return double(marker, items)
+    return double(points)
 
 
-def murder(common: object, items: np.ndarray) -> dict[str, np.ndarray]:
+def murder(points: np.ndarray) -> dict[str, np.ndarray]:
     """End the worker at each call."""
     os.kill(os.getpid(), signal.SIGKILL)
     return {}
-
-
-def reject(common: object, items: np.ndarray) -> dict[str, np.ndarray]:
-    raise ValueError(f"piece {items}")

@@ -36,7 +36,6 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
     ("worm_optimizer", "optimize"): SMALL_FRONT,
     ("worm_optimizer", "report"): ("--without-front",),
     ("worm_optimizer", "capability"): SMALL_FRONT,
-    ("worm_optimizer", "sensitivity"): ("--samples", "16"),
     ("worm_optimizer", "request"): SMALL_FRONT,
     ("worm_optimizer", "scan_margin"): ("--lowest", "0.0033", "--highest", "0.0036"),
 }

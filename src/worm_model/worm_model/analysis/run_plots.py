@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -101,17 +100,6 @@ def energy_figure(frame: Frame, powers: Curves, energies: Curves, residuals: Cur
     """Return a figure of the source power, of the energy, and of the residual of the energy."""
     energy, residual = Panel("energy (J)", energies), residuals_panel(residuals, "J", 1.0)
     return figure_of(frame, [power_panel(powers), energy, residual])
-
-
-def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figure:
-    """Return a figure of several runs: the advance of x1 along each gait's direction, and the energy."""
-    advance = positions_panel("advance of x1 (mm)", advances)
-    return figure_of(frame, [advance, Panel("energy (J)", energies)])
-
-
-def run_style(number: int) -> dict[str, Any]:
-    """Return the style of one of several runs, counted from 0."""
-    return {"color": plot_style.CYCLE[number % len(plot_style.CYCLE)], "linewidth": 1.2}
 
 
 def figure_of(frame: Frame, contents: Sequence[Panel]) -> Figure:

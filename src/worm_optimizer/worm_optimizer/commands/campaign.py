@@ -24,7 +24,7 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.commands.identify import StageProgress
-from worm_model.errors import InputError
+from worm_model.errors import IdentificationError, InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
 from worm_optimizer.commands.report import add_identification
@@ -106,6 +106,8 @@ def _parser() -> Parser:
         f"until a cycle keeps its grooves with --probability (here by default {PROBABILITY}). Then validate the tuned "
         "gaits",
     )
+    add("--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N")
+    add("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
     add_identification(parser)
     parser.add_json()
     parser.add_parameters()
@@ -113,14 +115,13 @@ def _parser() -> Parser:
 
 
 def _campaign(options: argparse.Namespace) -> int:
-    from worm_optimizer.report.identification_parts import identification_of
-
     load_parameter_file(options.parameters)
+    load_parameter_file(options.identification)
     if options.repeats < 1:
         raise InputError(f"--repeats {options.repeats}: give 1 or more")
     if options.identify and options.identification:
         raise InputError("--identify creates the identification: remove --identification")
-    identification_of(options)  # raises the errors of its files before a node starts
+    _check_bench_tests(options)
     robot = robot_of(options, options.mode)
     folder = _folder(options)
     say = ProgressLog("campaign")
@@ -137,6 +138,25 @@ def _campaign(options: argparse.Namespace) -> int:
     say("comparing")
     campaign.compare(names)
     return 0
+
+
+def _check_bench_tests(options: argparse.Namespace) -> None:
+    """Raise `InputError` if a bench test has no effect or cannot be read, before a node starts."""
+    from worm_model.identification import bellows, fin
+    from worm_model.identification.inputs import read_bench_test
+
+    for option, path, columns in (
+        ("--bellows", options.bellows, bellows.COLUMNS),
+        ("--fin", options.fin, fin.COLUMNS),
+    ):
+        if path is None:
+            continue
+        if not options.identify:
+            raise InputError(f"{option} has no effect without --identify: give both")
+        try:
+            read_bench_test(path, columns)
+        except IdentificationError as error:
+            raise InputError(f"{option} {path}: {error}") from None
 
 
 class _Campaign:
@@ -260,14 +280,13 @@ class _Campaign:
         self._summary = json.loads(summary.read_text(encoding="utf-8"))
         self._summary |= {"parameter_file": str(parameters), "bags": [str(b) for b in bags]}
         options.parameters = str(parameters)
-        options.identification = [parameters, report]
+        options.identification = str(parameters)
         self._robot = self._robot.with_parameters(options.parameters)
 
     def compare(self, names: Mapping[str, str]) -> None:
         """Write the report on the runs, whose gaits ``names`` contains by run, and print it."""
         from worm_optimizer.operation.campaign_plan import draw_spread, spread
         from worm_optimizer.operation.campaign_runs import put_aside
-        from worm_optimizer.report.identification_parts import identification_of
         from worm_optimizer.report.recordings import read_recorded_gaits
         from worm_optimizer.report.report_page import Report, build_report
 
@@ -275,8 +294,7 @@ class _Campaign:
         bags = [self._folder / run for run in names]
         recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
         title = f"Validation campaign ({options.mode} robot)"
-        parts = identification_of(options)
-        report = Report(title, recorded, plan.optimisation, identification=parts)
+        report = Report(title, recorded, plan.optimisation, identification=options.identification)
         spreads = [
             spread(
                 name,

@@ -26,6 +26,7 @@ from worm_optimizer.commands.search_options import (
     shape_lines,
     success_lines,
 )
+from worm_optimizer.evaluation.task import EDGE_TOLERANCE
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.search.search_settings import Nsga2Settings, Waveform
 
@@ -72,7 +73,7 @@ def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, 
         "margin_reason": front.reason,
         **{name: asdict(gait) for name, gait in front.three.items()},
         "nominal": {name: asdict(gait) for name, gait in nominal.items()},
-        "verification": front.exact.verification,
+        "verification": {"edge_tolerance": EDGE_TOLERANCE, "power_rises": front.exact.power_rises},
         "warning": front.warning(front.three.values()),
     }
 
@@ -82,15 +83,6 @@ def _predicted(gait: Prediction) -> dict[str, Any]:
     return {name: value for name, value in asdict(gait).items() if name not in _FULL}
 
 
-def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return the comparison with the exact front for the machine-readable output."""
-    return {
-        "hypervolume_share": comparison.hypervolume_share,
-        "missed_branches": list(comparison.missed_branches),
-        "largest_excess_power": comparison.largest_excess_power,
-    }
-
-
 def describe(
     front: RobustFront,
     nominal: dict[str, Prediction],
@@ -98,16 +90,13 @@ def describe(
     comparison: Comparison | None = None,
 ) -> str:
     """Return a front, and its comparison with the exact front if it is not exact, as text."""
-    checks = front.exact.verification
-    strokes = f"{checks['strokes']} strokes at each of " if "strokes" in checks else ""
-    rises = "rises" if checks["power_rises"] else "does not rise everywhere"
+    rises = "rises" if front.exact.power_rises else "does not rise everywhere"
     summary = {
         **({"NSGA-II": _comparison_text(comparison)} if comparison else {}),
         "margin": f"{1e3 * front.margin:.2f} mm: {front.reason}",
         "groove phase": f"{1e3 * front.three['cruise'].groove_phase:+.2f} mm; all speeds hold for this phase",
         "front": f"{len(front.gaits)} gaits",
-        "verified": f"{strokes}{checks['frequencies']} frequencies; edges located to "
-        f"{1e9 * checks['edge_tolerance']:g} nm; power {rises} with the stroke within the branches",
+        "verified": f"edges located to {1e9 * EDGE_TOLERANCE:g} nm; power {rises} with the stroke within the branches",
         "limits": front.settings.limits.description() or "none",
     }
     return "\n".join(
@@ -147,16 +136,16 @@ def _optimize(options: argparse.Namespace) -> None:
     with elapsed("front"):
         front = make_front(content, settings, options.direction)
         nominal = nominal_gaits(content, settings, options.direction)
-    comparison = None
+    comparison, compared = None, {}
     if options.method == NSGA2:
         comparison = _searched(front, search)
         front = replaced(front, comparison.front)
+        compared = {name: value for name, value in vars(comparison).items() if name != "front"}
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
-        from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
+        from worm_optimizer.report.front_plots import front_figure
 
-        draw = front_figure if settings.waveform is Waveform.SHAPED else front_and_map_figure
-        save_figure(draw(front, front.three), figure)
+        save_figure(front_figure(front, front.three), figure)
     limits = {
         name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
     }
@@ -166,7 +155,7 @@ def _optimize(options: argparse.Namespace) -> None:
         {
             **front_json(front, nominal),
             "method": options.method,
-            **(comparison_json(comparison) if comparison else {}),
+            **compared,
             "uncertainty": uncertainty,
             "limits": limits,
             "waveform": settings.waveform.value,
@@ -182,16 +171,12 @@ def _searched(front: RobustFront, search: Nsga2Settings) -> Comparison:
         nsga2,
     )  # here: its import is slow, and the exact front does not need it
 
-    bar = ProgressLine("NSGA-II")
-    for generation in nsga2.generations(
-        front.exact.task, search, nsga2.reference_power_of(front.exact)
-    ):
-        bar(generation.number / generation.of)
-    if not len(generation.front):
+    found = nsga2.nsga2_front(front.exact.task, search, ProgressLine("NSGA-II"))
+    if not len(found):
         raise InputError(
             "NSGA-II found no gait that gains a groove in every cycle: raise --population or --generations"
         )
-    return nsga2.compared(front.exact, generation.front)
+    return nsga2.compared(front.exact, found)
 
 
 main = executable(_parser, _optimize)

@@ -18,6 +18,7 @@ from worm_model.commands.command_line import (
     notifier,
     print_result,
 )
+from worm_model.parameters import load_parameter_file
 
 _BAGS = Path("bags")
 _notify = notifier("report")
@@ -53,29 +54,23 @@ def _parser() -> Parser:
 
 
 def add_identification(parser: Parser) -> None:
-    """Add the options that name the parts of an identification; see `identification_parts.identification_of`."""
-    add = parser.add_argument
-    add(
+    """Add the option that names identified parameters."""
+    parser.add_argument(
         "--identification",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="PATH",
-        help="parameter file that identify has written, or folder of its report; for both, give the option twice",
+        default="",
+        metavar="FILE",
+        help="parameter file that identify has written, for a table with the paper's values",
     )
-    add("--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N")
-    add("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
 
 
 def _report(options: argparse.Namespace) -> None:
     from worm_optimizer.report import agreement, optimisation, recordings, report_page
-    from worm_optimizer.report.identification_parts import identification_of
 
     named = options.bags or [recordings.newest_recording(_BAGS, _notify)]
     folder = options.output or _default_folder(named)
     if folder.exists():
         raise InputError(f"{folder}: exists already; give another name with --output")
-    identification = identification_of(options)
+    load_parameter_file(options.identification)
     bags = [bag for path in named for bag in recordings.bags_of(path)]
     with elapsed("gaits"):
         gaits = recordings.read_recorded_gaits(bags, options.parameters, _notify)
@@ -89,7 +84,7 @@ def _report(options: argparse.Namespace) -> None:
     title = (
         options.title or f"Worm robot: {', '.join(agreement.title_of(gait.name) for gait in gaits)}"
     )
-    content = report_page.Report(title, gaits, found, note, identification)
+    content = report_page.Report(title, gaits, found, note, options.identification)
     with elapsed("page"):
         page = report_page.build_report(content, folder)
     result = {"page": str(page), **agreement.agreement_json(gaits)}

@@ -16,24 +16,6 @@ from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.search import search_settings
 
-# Placeholder of an option's value in the help, by the ending of the node parameter's name. The first
-# ending that matches is used, so longer endings come first.
-_VALUES = {
-    "_m_per_s": "MPS",
-    "_n_per_m": "N_PER_M",
-    "_w_per_n": "W_PER_N",
-    "_deg": "DEG",
-    "_m2": "M2",
-    "_m": "M",
-    "_n": "NEWTON",
-    "_w": "W",
-    "_v": "V",
-    "_file": "FILE",
-    "_model": "NAME",
-    "probability": "P",
-    "": "N",
-}
-
 
 def add_scan_options(parser: Parser) -> None:
     """Add the options of all searches: direction, settings of a margin scan, figure, JSON output, parameter file."""
@@ -46,16 +28,13 @@ def add_scan_options(parser: Parser) -> None:
 
 def add_limit_options(parser: Parser) -> None:
     """Add the options for the box of gaits and the limits of the robot."""
-    kinds = ("stroke", "frequency", "limits.")
-    _add_settings(
-        parser, tuple(r for r in search_settings.SCAN_SETTINGS if r.parameter.startswith(kinds))
-    )
+    _add_settings(parser, search_settings.LIMIT_SETTINGS)
 
 
 def add_campaign_options(parser: Parser) -> None:
     """Add the options for the settings of a front. `start.add_robot` adds those for the conditions."""
-    rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)
-    _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_ROWS))
+    rows = (row for row in search_settings.SETTINGS if row.name not in CONDITION_ROWS)
+    _add_settings(parser, tuple(rows))
 
 
 def add_front_options(parser: Parser) -> None:
@@ -72,7 +51,7 @@ def chosen_settings(options: argparse.Namespace) -> search_settings.Settings:
         if value is not None:
             values |= dict(
                 zip(
-                    (row.parameter for row in rows),
+                    (row.name for row in rows),
                     value if len(rows) > 1 else [value],
                     strict=True,
                 )
@@ -90,7 +69,7 @@ def chosen_settings(options: argparse.Namespace) -> search_settings.Settings:
 def _add_settings(parser: Parser, chosen: tuple[search_settings.SettingRow, ...]) -> None:
     for option, rows in _by_option(chosen):
         first = rows[0]
-        meaning = "; ".join(row.meaning for row in rows)
+        meaning = "; ".join(row.description for row in rows)
         default = " ".join(_as_text(row.default) for row in rows)
         number_kind = int if isinstance(first.default, int) else number
         parser.add_argument(
@@ -98,23 +77,16 @@ def _add_settings(parser: Parser, chosen: tuple[search_settings.SettingRow, ...]
             type=str if isinstance(first.default, str) else number_kind,
             nargs=len(rows) if len(rows) > 1 else None,
             choices=first.choices or None,
-            metavar=("LOW", "HIGH") if len(rows) > 1 else None if first.choices else _value(first),
+            metavar=("LOW", "HIGH") if len(rows) > 1 else None if first.choices else "VALUE",
             help=f"{meaning} (default: {default})".replace("%", "%%").replace(" (default: )", ""),
         )
-
-
-def _value(row: search_settings.SettingRow) -> str:
-    """Return the placeholder of a setting's value in the help."""
-    endings = (ending for ending in _VALUES if row.parameter.endswith(ending))
-    return _VALUES[next(endings, "")]
 
 
 def _by_option(
     rows: tuple[search_settings.SettingRow, ...],
 ) -> list[tuple[str, list[search_settings.SettingRow]]]:
     """Return each option with its rows, in the order of ``rows``. Successive rows may belong to the same option."""
-    grouped = groupby((row for row in rows if row.option), key=lambda row: row.option)
-    return [(option, list(group)) for option, group in grouped]
+    return [(option, list(group)) for option, group in groupby(rows, lambda row: row.option)]
 
 
 def _as_text(default: object) -> str:

@@ -7,7 +7,6 @@ The functions import what they use, so that --help takes no longer than for othe
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 
 from worm_model.commands import command_line
@@ -53,16 +52,17 @@ def _study(options: argparse.Namespace) -> int:
     workers = Workers(options.scheduler, options.workers)
     say, progress = command_line.notifier("study"), command_line.ProgressLine("study")
     try:
-        counts = run_study(study, options.output, workers, say, progress)
+        failed = run_study(study, options.output, workers, say, progress)
     except LostError as error:
         say(str(error))
         return command_line.FAILED
-    text = f"{counts.done} of {counts.points} points in {options.output}"
-    if counts.failed:
-        text += f"; {counts.failed} of them failed, the reasons are in the variable reason"
-    content = {**dataclasses.asdict(counts), "output": str(options.output)}
+    points = study.file.size
+    text = f"{points} points in {options.output}"
+    if failed:
+        text += f"; {failed} of them failed, the reasons are in the variable reason"
+    content = {"points": points, "done": points, "failed": failed, "output": str(options.output)}
     command_line.print_result(options, content, text)
-    return command_line.FAILED if counts.failed == counts.points else command_line.DONE
+    return command_line.FAILED if failed == points else command_line.DONE
 
 
 main = command_line.executable(_parser, _study)

@@ -102,21 +102,19 @@ NO_LIMITS = ActuatorLimits()
 
 @dataclass(frozen=True)
 class Peaks:
-    """Extremes and mean force of gaits in a cycle; every field has shape (n,).
+    """Extremes of gaits in a cycle; every field has shape (n,).
 
     Attributes:
         force: largest cable force, N.
         power: largest source power, W.
         motor_load: largest F_c/stall_force + speed/no_load_speed while the cable is wound up, see `ActuatorLimits`.
         push: largest force with which the cable would have to push, N; 0 if it always pulls.
-        mean_force: mean pull of the cable, N; pushing counts as 0.
     """
 
     force: Array
     power: Array
     motor_load: Array
     push: Array
-    mean_force: Array
 
     @staticmethod
     def none(count: int) -> Peaks:
@@ -146,17 +144,12 @@ def peaks(
     )
     pulled = pull_rate(shapes, phases) * np.multiply(frequency, stroke)[:, np.newaxis]
     pull = np.maximum(force, 0.0)
-    around = np.column_stack([phases[:, -1] - 1.0, phases, phases[:, 0] + 1.0])
-    shares = 0.5 * (
-        around[:, 2:] - around[:, :-2]
-    )  # share of the cycle that each sample represents
     load = np.where(pulled > 0.0, pull / limits.stall_force + pulled / limits.no_load_speed, 0.0)
     return Peaks(
         force=force.max(axis=1),
         power=power.max(axis=1),
         motor_load=load.max(axis=1),
         push=np.maximum(-force, 0.0).max(axis=1),
-        mean_force=np.sum(shares * pull, axis=1),
     )
 
 

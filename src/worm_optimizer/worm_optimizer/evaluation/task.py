@@ -147,8 +147,7 @@ class Task(Protocol):
 class MarginTask:
     """Task of eq:moo_formulation with thresholds enlarged by ``margin`` in m (eq:A1_switch_robust).
 
-    ``bounds.stroke_high`` limits the largest contraction, including the pretension. ``holding_power`` (W/N) times the
-    mean pull of the cable is added to the power, because servos draw current for a torque even at standstill.
+    ``bounds.stroke_high`` limits the largest contraction, including the pretension.
 
     Raises `InputError` if the margin, the direction, a stroke of the box or a limit is inadmissible.
     """
@@ -158,7 +157,6 @@ class MarginTask:
     margin: float = 0.0
     bounds: Bounds = field(default_factory=Bounds)
     limits: ActuatorLimits = field(default_factory=ActuatorLimits)
-    holding_power: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.margin <= MAX_MARGIN:
@@ -234,11 +232,8 @@ class MarginTask:
         count = gained_of(table)
         moving = count > 0
         violation = np.ones(strokes.shape)
-        power = table.power.copy()
-        gaits = strokes[moving], frequencies[moving], shapes[moving]
-        violation[moving] = self.excess(*gaits)
-        power[moving] += self.held_power(*gaits)
-        return Points(strokes, frequencies, table.speed, power, count, violation, shapes)
+        violation[moving] = self.excess(strokes[moving], frequencies[moving], shapes[moving])
+        return Points(strokes, frequencies, table.speed, table.power, count, violation, shapes)
 
     def edges(
         self,
@@ -270,13 +265,6 @@ class MarginTask:
         if count is not None:
             is_edge &= found.count == count[runs.column]
         return Edges(runs.column[is_edge], found.take(is_edge))
-
-    def held_power(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
-        """Return the power (W) that the servos need in addition to hold the mean cable force, by gait, shape (n,)."""
-        if not self.holding_power:
-            return np.zeros(stroke.shape)
-        peak = peaks(stroke, frequency, self.direction, self.parameters, shape=shape)
-        return self.holding_power * peak.mean_force
 
     def excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
         """Return the relative excess of moving gaits over the limits; 1 for gaits that cannot be simulated."""

@@ -19,7 +19,6 @@ from worm_optimizer.search.search_settings import (
     ScanSettings,
     Settings,
     Waveform,
-    choice_of,
 )
 
 
@@ -65,8 +64,8 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
         seed=int(goal.seed),
         margin=None if math.isnan(goal.margin) else goal.margin,
         margin_force=goal.margin_force or None,
-        waveform=choice_of(Waveform, goal.waveform) if goal.waveform else base.waveform,
-        robustness=choice_of(Robustness, goal.robustness) if goal.robustness else base.robustness,
+        waveform=Waveform(goal.waveform) if goal.waveform else base.waveform,
+        robustness=Robustness(goal.robustness) if goal.robustness else base.robustness,
         probability=goal.probability or base.probability,
     )
 

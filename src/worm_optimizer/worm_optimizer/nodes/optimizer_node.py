@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.action import ActionServer, GoalResponse
+from rclpy.action import ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -20,8 +19,7 @@ from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.conditions import CONDITION_ROWS
-from worm_msgs.gait import Gait, gait_of
-from worm_msgs.goal_rejections import GoalRejections
+from worm_msgs.gait import gait_of
 from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, spin
 from worm_msgs.srv import RequestGait
@@ -42,7 +40,6 @@ REJECTIONS = (InputError,)
 MOST_RESTING = 8
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 
-_Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 
@@ -52,46 +49,7 @@ class ShutdownError(InputError):
 
 def _settings_of_node(node: Node) -> Settings:
     """Return the search settings from a node's parameters. Raises `InputError` if they are inconsistent."""
-    return settings_of({row.parameter: node.get_parameter(row.parameter).value for row in SETTINGS})
-
-
-class _RejectingServer(ActionServer):
-    """Action server that publishes the reason of each rejection.
-
-    Args:
-        node: the server's node.
-        kind: type of the action.
-        name: name of the action.
-        execute: callback that executes an accepted goal.
-        why_not: returns the reason to reject a goal, or an empty string to accept it.
-        more: further arguments of ActionServer.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        kind: Any,
-        name: str,
-        execute: Callable[..., Any],
-        why_not: Callable[[Any], str],
-        **more: Any,
-    ) -> None:
-        self._why_not, self._goal_id = why_not, b""
-        self._log = node.get_logger()
-        self._rejections = GoalRejections(node, name, lambda: node.get_clock().now().to_msg())
-        super().__init__(node, kind, name, execute, goal_callback=self._on_goal, **more)
-
-    async def _execute_goal_request(self, request: tuple[Any, Any]) -> None:
-        self._goal_id = bytes(request[1].goal_id.uuid)  # rclpy does not pass it to the callback
-        await super()._execute_goal_request(request)
-
-    def _on_goal(self, goal: Any) -> GoalResponse:
-        reason = self._why_not(goal)
-        if not reason:
-            return GoalResponse.ACCEPT
-        self._log.warning(f"goal rejected: {reason}")
-        self._rejections.publish(self._goal_id, reason)
-        return GoalResponse.REJECT
+    return settings_of({row.name: node.get_parameter(row.name).value for row in SETTINGS})
 
 
 class OptimizerNode(Node):
@@ -122,30 +80,20 @@ class OptimizerNode(Node):
         self._content = load_parameter_file(file)
         self._fronts: dict[int, RobustFront] = {}
         self._resting: dict[tuple[int, float], RobustFront] = {}
-        self._failures: dict[int, str] = {}
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(1.0, self._publish_diagnostics)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.create_service(RequestGait, "request_gait", self._request_gait)
-        self._serve(
-            OptimizeGaits, "optimize_gaits", self._optimize, optimizer_messages.settings_of_goal
-        )
-        self._serve(ScanMargin, "scan_margin", self._scan, optimizer_messages.scan_of_goal)
+        self._serve(OptimizeGaits, "optimize_gaits", self._optimize)
+        self._serve(ScanMargin, "scan_margin", self._scan)
         self._first = self.create_timer(1e-3, self._prepare)
 
     # --- the fronts --------------------------------------------------------------------------------
 
-    def _computed(
-        self,
-        compute: Callable[_Arguments, _Result],
-        *arguments: _Arguments.args,
-        **keywords: _Arguments.kwargs,
-    ) -> _Result:
+    def _computed(self, compute: Callable[..., _Result], *arguments: Any) -> _Result:
         """Return the result of a long computation. Raises `ShutdownError` if a signal requests the end of the node."""
         try:
             with self._ended.interrupting():
-                return compute(*arguments, **keywords)
+                return compute(*arguments)
         except KeyboardInterrupt:
             raise ShutdownError("the optimizer is ending") from None
 
@@ -165,12 +113,7 @@ class OptimizerNode(Node):
         Raises `InputError` or `SimulationError` if it cannot be computed.
         """
         if direction not in self._fronts:
-            self._failures.pop(direction, None)
-            try:
-                self._store(self._computed(make_front, self._content, self._settings, direction))
-            except (InputError, SimulationError) as error:
-                self._failures[direction] = str(error)
-                raise
+            self._store(self._computed(make_front, self._content, self._settings, direction))
         return self._fronts[direction]
 
     def _store(self, front: RobustFront) -> None:
@@ -184,7 +127,7 @@ class OptimizerNode(Node):
             self.get_logger().warning(warning)
 
     def _forget(self) -> None:
-        self._fronts, self._resting, self._failures = {}, {}, {}
+        self._fronts, self._resting = {}, {}
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         changes = {parameter.name: parameter.value for parameter in parameters}
@@ -224,7 +167,10 @@ class OptimizerNode(Node):
         try:
             content = gait_request.resting_content(self._content, request.initial_length)
             if request.objective == RequestGait.Request.GIVEN:
-                answer = self._prediction(gait_of(request.gait), content)
+                gait = gait_of(request.gait)
+                prediction, warning = self._computed(given_gait, gait, content, self._settings)
+                done = gait_request.RequestStatus.DONE
+                answer = gait_request.GaitAnswer(done, warning, prediction)
             else:
                 wanted = gait_request.request_of(request.objective, request.speed, request.power)
                 direction = gait_request.checked_direction(request.direction)
@@ -232,11 +178,6 @@ class OptimizerNode(Node):
         except (InputError, SimulationError) as error:
             answer = gait_request.GaitAnswer(gait_request.RequestStatus.INVALID, str(error))
         return optimizer_messages.fill_response(response, answer)
-
-    def _prediction(self, gait: Gait, content: ParameterFile) -> gait_request.GaitAnswer:
-        """Return the prediction of a given gait. Raises the errors of `given_gait`."""
-        prediction, warning = self._computed(given_gait, gait, content, self._settings)
-        return gait_request.GaitAnswer(gait_request.RequestStatus.DONE, warning, prediction)
 
     def _answer(
         self, wanted: gait_request.GaitRequest, direction: int, content: ParameterFile
@@ -278,78 +219,35 @@ class OptimizerNode(Node):
 
     # --- actions --------------------------------------------------------------------------------
 
-    def _serve(
-        self,
-        kind: Any,
-        name: str,
-        execute: Callable[[ServerGoalHandle], Any],
-        settings_of: Callable[[Settings, Any], object],
-    ) -> None:
-        """Serve an action that rejects goals with invalid settings or an invalid direction."""
+    def _serve(self, kind: Any, name: str, answer: Callable[[Any], Any]) -> None:
+        """Serve an action. A goal whose answer cannot be computed is aborted, and its result contains the reason."""
 
-        def why_not(goal: Any) -> str:
+        def execute(goal: ServerGoalHandle) -> Any:
             try:
-                settings_of(self._settings, goal)
-                gait_request.checked_direction(goal.direction)
-            except InputError as error:
-                return str(error)
-            return ""
+                result = answer(goal.request)
+            except (InputError, SimulationError) as error:
+                goal.abort()
+                return kind.Result(message=str(error))
+            goal.succeed()
+            return result
 
-        _RejectingServer(self, kind, name, execute, why_not)
+        ActionServer(self, kind, name, execute)
 
-    def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
-        """Compute a front with the settings of a goal.
-
-        If this succeeds, the settings apply to all later requests in both directions.
-        """
-        try:
-            settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
-            direction = gait_request.checked_direction(goal.request.direction)
-            front = self._computed(make_front, self._content, settings, direction)
-        except (InputError, SimulationError) as error:
-            goal.abort()
-            return OptimizeGaits.Result(message=str(error))
+    def _optimize(self, goal: OptimizeGaits.Goal) -> OptimizeGaits.Result:
+        """Compute a front with the settings of a goal, which apply to all later requests in both directions."""
+        settings = optimizer_messages.settings_of_goal(self._settings, goal)
+        direction = gait_request.checked_direction(goal.direction)
+        front = self._computed(make_front, self._content, settings, direction)
         self._settings = settings
         self._forget()
         self._store(front)
-        goal.succeed()
         return optimizer_messages.optimize_result(front)
 
-    def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
-        try:
-            settings = optimizer_messages.scan_of_goal(self._settings, goal.request)
-            direction = gait_request.checked_direction(goal.request.direction)
-            price = self._computed(scanned_price, self._content, settings, direction)
-        except (InputError, SimulationError) as error:
-            goal.abort()
-            return ScanMargin.Result(message=str(error))
-        goal.succeed()
+    def _scan(self, goal: ScanMargin.Goal) -> ScanMargin.Result:
+        settings = optimizer_messages.scan_of_goal(self._settings, goal)
+        direction = gait_request.checked_direction(goal.direction)
+        price = self._computed(scanned_price, self._content, settings, direction)
         return optimizer_messages.scan_result(price)
-
-    # --- the node's health -----------------------------------------------------------------------
-
-    def _publish_diagnostics(self) -> None:
-        array = DiagnosticArray()
-        array.header.stamp = self.get_clock().now().to_msg()
-        array.status = [self._status_of(direction) for direction in (FORWARD, REVERSE)]
-        self._diagnostics.publish(array)
-
-    def _status_of(self, direction: int) -> DiagnosticStatus:
-        robot = self.get_namespace().strip("/")
-        name = f"{robot}/optimizer: {_NAMES[direction]} front".lstrip("/")
-        status = DiagnosticStatus(name=name, hardware_id=robot)
-        front = self._fronts.get(direction)
-        if direction in self._failures:
-            status.level = DiagnosticStatus.ERROR
-            status.message = f"there is no front: {self._failures[direction]}"
-        elif front is None:
-            status.level = DiagnosticStatus.OK
-            status.message = "not computed before the first request"
-        else:
-            status.level = DiagnosticStatus.OK
-            status.message = f"{len(front.gaits)} gaits"
-            status.values = [KeyValue(key="margin_m", value=f"{front.margin:.6f}")]
-        return status
 
 
 def run(ended: ShutdownRequest) -> None:

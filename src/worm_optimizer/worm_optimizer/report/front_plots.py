@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the optimizer's results: fronts with gaits, price of robustness, capability and sensitivity."""
+"""Figures of the optimizer's results: fronts with gaits, price of robustness and capability."""
 
 from __future__ import annotations
 
@@ -12,17 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from worm_model.analysis import plot_style
-from worm_optimizer.evaluation.task import Array, MarginTask
+from worm_optimizer.evaluation.task import Array
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.expectation import Band, Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.robustness.sensitivity import NO_INDICES, SYMBOLS, Sensitivity
 from worm_optimizer.search.capability import Capability, LoadPoint
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 
-_MAP_STROKES, _MAP_FREQUENCIES = 241, 161  # resolution of the map of the grooves per cycle
 _COSTS = (25, 50, 100, 200)  # costs of transport for which `_cost_lines` draws a line
 
 # The measured value usually lies within the expected interval. Its small filled marker is therefore visible inside the
@@ -53,40 +51,6 @@ def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
     return figure
 
 
-def front_and_map_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
-    """Draw a front, and next to it a map of the grooves per cycle as a function of stroke and frequency.
-
-    The map holds for the margin of the front.
-    """
-    task = front.nominal.with_margin(front.margin)
-    figure = plot_style.new_figure(12.5, 5.0)
-    left, right = figure.subplots(1, 2)
-    _plot_front(left, front)
-    _mark(left, marks)
-    plot_style.legend_above(left, 2)
-    _plot_map(right, task)
-    strokes, frequencies = _columns(front.gaits, "stroke", "frequency")
-    outlined = {"color": "white", "markeredgecolor": plot_style.BLACK, "linestyle": "none"}
-    right.plot(plot_style.MM * strokes, frequencies, marker=".", label="front", **outlined)
-    strokes, frequencies = _columns(tuple(marks.values()), "stroke", "frequency")
-    right.plot(
-        plot_style.MM * strokes,
-        frequencies,
-        marker="*",
-        markersize=15,
-        label="marked gaits",
-        **outlined,
-    )
-    right.set_title(
-        f"grooves per cycle at {plot_style.MARGIN_SYMBOL} = {plot_style.MM * task.margin:.2f} mm",
-        loc="left",
-        fontsize="small",
-    )
-    plot_style.legend_above(right)
-    plot_style.letter((left, right))
-    return figure
-
-
 def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> Figure:
     """Draw a front with recorded gaits: their expected values with 95 % intervals, and their measured values.
 
@@ -98,12 +62,8 @@ def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> 
     for gait in gaits:
         _cross(axes, gait.expected.bands, _EXPECTED)
         _cross(axes, gait.measured, _MEASURED)
-    fastest = max(
-        [axes.get_xlim()[1], *(1.2 * plot_style.MM * g.measured.speed.value for g in gaits)],
-        key=_or_zero,
-    )
-    most = max([axes.get_ylim()[1], *(1.15 * g.measured.power.value for g in gaits)], key=_or_zero)
-    axes.set(xlim=(0.0, fastest), ylim=(0.0, most))
+    axes.autoscale()
+    axes.set(xlim=(0.0, None), ylim=(0.0, None))
     for gait in gaits:
         _name(
             axes,
@@ -230,15 +190,6 @@ def _cost_lines(axes: Axes, weight: float) -> None:
         )
 
 
-def _plot_map(axes: Axes, task: MarginTask) -> None:
-    box = task.bounds
-    strokes = np.linspace(box.stroke_low, box.stroke_high, _MAP_STROKES)
-    frequencies = np.linspace(box.frequency_low, box.frequency_high, _MAP_FREQUENCIES)
-    grooves = task.grooves(strokes[np.newaxis, :], frequencies[:, np.newaxis])
-    plot_style.draw_groove_map(axes, plot_style.MM * strokes, frequencies, grooves)
-    axes.set(xlabel="stroke S (mm)", ylabel="frequency f (Hz)")
-
-
 def _cross(axes: Axes, bands: Bands, style: Mapping[str, Any]) -> None:
     axes.errorbar(
         plot_style.MM * bands.speed.value,
@@ -259,14 +210,6 @@ def _reach(band: Band, scale: float) -> list[list[float]]:
 
 def _columns(gaits: tuple[Prediction, ...], *names: str) -> list[Array]:
     return [np.array([getattr(gait, name) for gait in gaits]) for name in names]
-
-
-def _or_zero(value: float) -> float:
-    return value if np.isfinite(value) else 0.0
-
-
-SHOWN = 10  # number of parameters in the figure; it shows those with the largest total indices
-TITLES = {"speed": "speed", "power": "power", "cliff_margin": "cliff of the margin"}
 
 
 def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoint]) -> Figure:
@@ -305,31 +248,4 @@ def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoin
     bars.set_xlim(right=1.35 * max(each.largest_load for each in found.values()) + 1.0)
     bars.set_title("largest load and slope", loc="left", fontsize="small")
     plot_style.letter((curves, bars))
-    return figure
-
-
-def sensitivity_figure(content: Sensitivity) -> Figure:
-    """Draw first-order and total indices of each quantity, with the largest total index on top."""
-    figure = plot_style.new_figure(11.0, 4.5)
-    panels = figure.subplots(1, len(content.indices))
-    for axes, (name, indices) in zip(panels, content.indices.items(), strict=True):
-        if np.all(np.isnan(indices.total)):
-            axes.text(0.5, 0.5, NO_INDICES, ha="center", transform=axes.transAxes)
-            axes.set(yticks=[])
-        else:
-            order = np.argsort(-indices.total)[:SHOWN][::-1]
-            place = np.arange(order.size)
-            for values, bounds, color, height, label in (
-                (indices.total, indices.total_bounds, plot_style.LIGHT_GREY, 0.8, "total"),
-                (indices.first, indices.first_bounds, plot_style.BLUE, 0.4, "alone"),
-            ):
-                low, high = bounds
-                reach = np.maximum([values - low, high - values], 0.0)[:, order]
-                axes.barh(place, values[order], height, color=color, label=label, xerr=reach)
-            names = [SYMBOLS[content.parameters[k]] for k in order]
-            axes.set_yticks(place, names)
-            axes.legend(loc="lower right", fontsize="small", frameon=False)
-        axes.set_xlabel("share of the variance")
-        axes.set_title(TITLES[name], loc="left", fontsize="small")
-    plot_style.letter(panels)
     return figure

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from worm_model.analysis.run_parts import last_stamp, parts_of
@@ -74,17 +73,6 @@ def _closed(metadata: Path) -> tuple[float, str]:
     return metadata.stat().st_mtime, str(metadata)
 
 
-@dataclass(frozen=True)
-class _Recording:
-    """Open bag, its run, and the parameters with which it is compared."""
-
-    bag: Bag
-    name: str
-    run: Run
-    parameters: tuple[ParameterFile, str]
-    provenance: dict[str, str]
-
-
 def read_recorded_gaits(
     paths: Sequence[Path], parameters: str, notify: Callable[[str], None]
 ) -> list[RecordedGait]:
@@ -104,25 +92,17 @@ def read_recorded_gaits(
         RecordingError: A bag contains no gait.
         InputError: The parameters of two bags differ in `one_sided_cable`, so that their powers are not comparable.
     """
-    with ExitStack() as opened:
-        recordings = [
-            _recording(opened.enter_context(open_bag(path, notify)), path, parameters)
-            for path in paths
-        ]
-        _check_one_form(recordings)
-        gaits = [gait for recording in recordings for gait in _gaits_of(recording, notify)]
+    gaits: list[RecordedGait] = []
+    for path in paths:
+        with open_bag(path, notify) as bag:
+            gaits += _gaits_of(bag, path, parameters, notify)
+    _check_one_form(gaits)
     return _named_apart(gaits)
 
 
-def _recording(bag: Bag, path: Path, parameters: str) -> _Recording:
-    used = _parameters_of(bag, parameters)
-    name = path.stem if path.is_file() else path.resolve().name
-    return _Recording(bag, name, read_run(bag), used, _provenance(bag, path, used[1]))
-
-
-def _check_one_form(recordings: Sequence[_Recording]) -> None:
-    """Raise `InputError` if the expected powers of the recordings are not comparable with each other."""
-    names = {each.parameters[0].parameters.one_sided_cable: each.name for each in recordings}
+def _check_one_form(gaits: Sequence[RecordedGait]) -> None:
+    """Raise `InputError` if the expected powers of the gaits are not comparable with each other."""
+    names = {gait.content.parameters.one_sided_cable: gait.name for gait in gaits}
     if len(names) > 1:
         raise InputError(
             f"{names[True]} was recorded with parameters of a cable that cannot push (one_sided_cable), {names[False]} "
@@ -130,18 +110,21 @@ def _check_one_form(recordings: Sequence[_Recording]) -> None:
         )
 
 
-def _gaits_of(recording: _Recording, notify: Callable[[str], None]) -> Iterator[RecordedGait]:
-    whole = replay_run(recording.run, recording.parameters[0].parameters)
-    parts = parts_of(recording.run)
+def _gaits_of(
+    bag: Bag, path: Path, parameters: str, notify: Callable[[str], None]
+) -> Iterator[RecordedGait]:
+    run, (content, source) = read_run(bag), _parameters_of(bag, parameters)
+    whole = replay_run(run, content.parameters)
+    provenance = _provenance(bag, path, source)
+    recording = path.stem if path.is_file() else path.resolve().name
+    parts = parts_of(run)
     if len(parts) > 1:
-        notify(f"{recording.bag.path} contains {len(parts)} gaits, which are reported separately")
+        notify(f"{bag.path} contains {len(parts)} gaits, which are reported separately")
     for number, part in enumerate(parts, 1):
-        name = f"{recording.name}_{number}" if len(parts) > 1 else recording.name
+        name = f"{recording}_{number}" if len(parts) > 1 else recording
         replay = _cut_replay(whole, part.run)
-        events = events_of(recording.bag, part.run, part.holds, replay)
-        yield recorded_gait(
-            part.run, name, replay, recording.parameters, events, recording.provenance
-        )
+        events = events_of(bag, part.run, part.holds, replay)
+        yield recorded_gait(part.run, name, replay, (content, source), events, provenance)
 
 
 def _named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:

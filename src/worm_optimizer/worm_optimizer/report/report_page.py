@@ -15,19 +15,14 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import save_png_and_pdf
-from worm_model.identification.report.identification_figures import bellows_figure, fin_figure
-from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS
+from worm_model.parameters import load_parameter_file
 from worm_msgs.conditions import LEVEL
 from worm_optimizer.report import agreement
 from worm_optimizer.report.front_plots import measured_front_figure, price_figure
-from worm_optimizer.report.identification_parts import (
-    IdentificationParts,
-    comparable_with_paper,
-    parameters_figure,
-)
+from worm_optimizer.report.identified_parameters import parameter_rows, parameters_figure
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.report.run_figures import RUN_FIGURES, draw_overlay
+from worm_optimizer.report.run_figures import RUN_FIGURES
 
 PAGE = "report.html"
 REPORT_SUFFIX = "_report"  # end of the name of a report's folder
@@ -50,14 +45,14 @@ class Report:
         gaits: recorded gaits.
         optimisation: front and price of robustness.
         note: reason why a requested optimisation is missing.
-        identification: content of the section on identification.
+        identification: path of a parameter file that identify has written.
     """
 
     title: str
     gaits: Sequence[RecordedGait] = ()
     optimisation: Optimisation | None = None
     note: str = ""
-    identification: IdentificationParts | None = None
+    identification: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,7 +110,6 @@ def build_report(report: Report, folder: Path) -> Path:
         "cap": agreement.LEAST_DISAGREEMENT,
         "orders": list(agreement.orders(report.gaits).values()),
         "failures": list(_failures(report.gaits)),
-        "overlay": _overlay(report.gaits, pictures),
         "front": _front_pictures(report, pictures),
         "warned": any(e.level == "warning" for gait in report.gaits for e in gait.events),
         "runs": [_run(gait, number, pictures) for number, gait in enumerate(report.gaits, 1)],
@@ -178,16 +172,6 @@ def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
                 yield f"{agreement.title_of(gait.name)}, {event.source}{when}: {event.text}"
 
 
-def _overlay(gaits: Sequence[RecordedGait], pictures: _Pictures) -> Picture | None:
-    if len(gaits) < 2:
-        return None
-    caption = (
-        "Advance of the rear module along the direction of each gait, and accumulated energy: measured (broad), and "
-        "predicted by the model from the command alone (thin)."
-    )
-    return pictures.save("runs", draw_overlay(gaits), caption)
-
-
 def _front_pictures(report: Report, pictures: _Pictures) -> list[Picture]:
     optimisation = report.optimisation
     if optimisation is None:
@@ -223,47 +207,20 @@ def _run(gait: RecordedGait, number: int, pictures: _Pictures) -> dict[str, Any]
     }
 
 
-def _identification(
-    parts: IdentificationParts | None, pictures: _Pictures
-) -> dict[str, Any] | None:
-    if parts is None:
+def _identification(path: str, pictures: _Pictures) -> dict[str, Any] | None:
+    if not path:
         return None
-    shown = []
-    if parts.content is not None and parts.content.intervals:
-        caption = "Identified parameters with their 95 % intervals, over the paper's values."
-        shown.append(pictures.save("parameters", parameters_figure(parts.content), caption))
-    if parts.bellows_fit is not None:
-        caption = "Bellows test: force over compression, and the fitted straight line (95 %)."
-        shown.append(pictures.save("bellows", bellows_figure(parts.bellows_fit), caption))
-    if parts.fin_fit is not None:
-        caption = (
-            "Fin test: force over displacement, and the fitted law; dotted: the clearance (95 %)."
-        )
-        shown.append(pictures.save("fin", fin_figure(parts.fin_fit), caption))
+    content = load_parameter_file(path)
+    caption = "Identified parameters with their 95 % intervals, over the paper's values."
     return {
-        "source": parts.source,
-        "one_sided_cable": parts.content is not None and parts.content.parameters.one_sided_cable,
-        "rows": list(_parameter_rows(parts)),
-        "provenance": {} if parts.content is None else dict(parts.content.provenance),
-        "pictures": shown,
-        "report": Markup(parts.report)
-        if parts.report
-        else "",  # identification_parts has escaped the text
-        "figures": [_picture(png, caption) for caption, png in parts.figures.items()],
+        "source": path,
+        "one_sided_cable": content.parameters.one_sided_cable,
+        "rows": list(parameter_rows(content)),
+        "provenance": dict(content.provenance),
+        "pictures": [pictures.save("parameters", parameters_figure(content), caption)]
+        if content.intervals
+        else [],
     }
-
-
-def _parameter_rows(parts: IdentificationParts) -> Iterator[tuple[str, ...]]:
-    """Yield key, symbol, value, interval, paper's value and unit of each parameter."""
-    if parts.content is None:
-        return
-    values, paper = parts.content.parameters.as_dict(), PAPER.as_dict()
-    alike = comparable_with_paper(parts.content)
-    for key in KEYS:
-        low, high = parts.content.intervals.get(key, (math.nan, math.nan))
-        interval = f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "not identified"
-        text = f"{paper[key]:.5g}" if key in alike else "–"
-        yield key, SYMBOLS[key], f"{values[key]:.5g}", interval, text, UNITS[key]
 
 
 def _picture(png: bytes, caption: str) -> Picture:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of recorded gaits: motion, length and energy of each gait, and an overlay of all gaits."""
+"""Figures of recorded gaits: motion, length and energy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,7 +19,6 @@ from worm_model.analysis.run_curves import (
 )
 from worm_model.run import seconds
 from worm_model.simulation.simulator import Motions, simulate
-from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 
 RIDGES = 5  # number of ridges that the paper's runs traverse
@@ -78,26 +77,6 @@ RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
         "The twin is driven by the measured length, the model by the command alone.",
     ),
 }
-
-
-def draw_overlay(gaits: Sequence[RecordedGait]) -> Figure:
-    """Draw advance and energy of all gaits in one figure, measured (broad) and predicted (thin)."""
-    advances, energies = [], []
-    for number, gait in enumerate(gaits):
-        onset, style = gait.played.onset, run_plots.run_style(number)
-        broad = {**style, "linewidth": 4.0, "alpha": 0.4}
-        positions, _ = position_curves(gait.run, gait.replay, onset)
-        measured, _ = energy_curves(gait.run, gait.replay, onset)
-        time, model = _model_of(gait)
-        x1, direction = positions[0], gait.gait.direction
-        advances.append(run_plots.Curve(title_of(gait.name), x1.time, direction * x1.values, broad))
-        advances.append(run_plots.Curve("", time, direction * model.x1, style))
-        energies.append(run_plots.Curve("", measured[0].time, measured[0].values, broad))
-        energies.append(run_plots.Curve("", time, model.energy, style))
-    longest = max(_duration(gait) for gait in gaits)
-    return run_plots.comparison_figure(
-        run_plots.Frame(-_BEFORE, longest + _BEFORE), advances, energies
-    )
 
 
 def _model_of(gait: RecordedGait) -> tuple[NDArray[np.float64], Motions]:

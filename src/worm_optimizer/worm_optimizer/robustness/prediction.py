@@ -37,16 +37,12 @@ def outline(
     """
     robust = task.table(stroke, frequency, margin, shape=shape)
     nominal = task.table(stroke, frequency, np.zeros_like(margin), shape=shape)
-    holding_power = task.held_power(stroke, frequency, np.broadcast_to(shape, stroke.shape))
     columns = {
         **robust.gait,
         "direction": np.full(stroke.shape, task.direction),
-        **_results(task, robust, holding_power),
+        **_results(task, robust),
         "groove_phase": np.full_like(stroke, groove_phase(task.parameters)),
-        **{
-            f"nominal_{name}": values
-            for name, values in _results(task, nominal, holding_power).items()
-        },
+        **{f"nominal_{name}": values for name, values in _results(task, nominal).items()},
     }
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     return tuple(Prediction(**dict(zip(columns, row, strict=True))) for row in rows)
@@ -74,7 +70,7 @@ def predict(
         )
         for draw in (phase_known, phase_unknown)
     )
-    more = zip(*(column.tolist() for column in (lower, upper, known, unknown)), strict=True)
+    rows = zip(lower.tolist(), upper.tolist(), known.tolist(), unknown.tolist(), strict=True)
     return tuple(
         replace(
             gait,
@@ -84,21 +80,17 @@ def predict(
             success_probability_any_phase=any_phase,
         )
         for gait, (to_lower, to_upper, phase_is_known, any_phase) in zip(
-            outline(task, stroke, frequency, margin, shape), more, strict=True
+            outline(task, stroke, frequency, margin, shape), rows, strict=True
         )
     )
 
 
-def _results(task: MarginTask, table: GaitTable, holding_power: Array) -> dict[str, Array]:
-    """Return speed, power, cost of transport and grooves per cycle of a table.
-
-    The power includes ``holding_power`` (W), which the servos need in addition to hold the mean cable force.
-    """
-    power = table.power + holding_power
+def _results(task: MarginTask, table: GaitTable) -> dict[str, Array]:
+    """Return speed, power, cost of transport and grooves per cycle of a table."""
     return {
         "speed": table.speed,
-        "power": power,
-        "cost_of_transport": cost_of_transport(table.speed, power, task.parameters.mass),
+        "power": table.power,
+        "cost_of_transport": cost_of_transport(table.speed, table.power, task.parameters.mass),
         "grooves_per_cycle": table.grooves_per_cycle,
     }
 

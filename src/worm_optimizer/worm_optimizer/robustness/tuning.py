@@ -184,15 +184,15 @@ def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning
     relaxed = _less_pretension(known, limits, probability)
     if relaxed is not None:
         return _run(known, relaxed, f"{_margins(known, last)}; less pretension helps the front fin")
-    # The front fin loses the cycles that may be lost, so the rear one, which a longer stroke helps, loses few of them.
-    almost = 1.0 - _REAR_SHARE * (1.0 - probability)
-    fitting = _smallest_stroke(known, last, limits, almost, Fin.REAR)
     # Also where the rear fin seems to lack a little: of a lost groove, the fin that lost it is not certain.
     farthest = replace(last, stroke=limits.largest_stroke(last))
     lacks = known.beliefs(farthest)[Fin.REAR].expected < -_UNCERTAIN_M
     if _gain_of_front(known, gait) > _WORTHWHILE_M and not lacks:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
+    # The front fin loses the cycles that may be lost, so the rear one, which a longer stroke helps, loses few of them.
+    almost = 1.0 - _REAR_SHARE * (1.0 - probability)
+    fitting = _smallest_stroke(known, last, limits, almost, Fin.REAR)
     if fitting is not None and abs(fitting.stroke - last.stroke) > _SAME_M:
         return _run(known, fitting, _margins(known, last))
     reason = f"{reason} within the limits, nor a slower gait"

@@ -200,31 +200,6 @@ def _offset(deviate: Array, reach: tuple[float, float]) -> Array:
     return np.where(share > 0.0, share * above, share * below)
 
 
-def values_at(
-    content: ParameterFile,
-    reach: Mapping[str, tuple[float, float]],
-    deviates: Mapping[str, Array],
-) -> dict[str, Array]:
-    """Return the values of parameters by key at standard normal deviates (n,), limited to admissible values.
-
-    The switching threshold is the drawn one minus the drawn travel error, which is not returned.
-    """
-    values = {**content.parameters.as_dict(), TRAVEL: (content.travel_error or PRIOR).value}
-    drawn = {
-        key: np.maximum(values[key] + _offset(deviates[key], reach[key]), _least(key, values[key]))
-        for key in reach
-    }
-    if drawn.keys() & {"switching_threshold", "pitch", "clearance", TRAVEL}:
-        threshold, pitch, clearance = (
-            drawn.get(key, values[key]) for key in ("switching_threshold", "pitch", "clearance")
-        )
-        # `Parameters` requires p_sw ≥ d/2, so that a fin that switches does not switch back, and p_sw > δ_c/2.
-        least = np.maximum(0.5 * pitch, 0.5 * clearance) * 1.001
-        travel = drawn.pop(TRAVEL, 0.0)
-        drawn["switching_threshold"] = np.maximum(threshold - travel, least)
-    return drawn
-
-
 def _least(key: str, value: float) -> float:
     """Return the smallest permitted draw: a tenth of ``value`` if a parameter is never negative, else its low bound."""
     if key == TRAVEL:
@@ -236,9 +211,21 @@ def _least(key: str, value: float) -> float:
 def _draws(
     content: ParameterFile, keys: Iterable[str], samples: int, seed: int, stream: int
 ) -> dict[str, Array]:
-    """Return ``samples`` draws of the parameters ``keys``, with their reaches and with the correlations in the file."""
-    reach = {key: reach_of(content, key) for key in keys}
-    independent = {
-        key: _deviates(samples, seed, number) for number, key in enumerate(reach, stream)
+    """Return draws (samples,) of parameters by key, limited to admissible values.
+
+    The switching threshold is the drawn one minus the drawn travel error, which is not returned.
+    """
+    values = {**content.parameters.as_dict(), TRAVEL: (content.travel_error or PRIOR).value}
+    independent = {key: _deviates(samples, seed, number) for number, key in enumerate(keys, stream)}
+    drawn = {
+        key: np.maximum(
+            values[key] + _offset(deviates, reach_of(content, key)), _least(key, values[key])
+        )
+        for key, deviates in correlated(independent, content.correlations).items()
     }
-    return values_at(content, reach, correlated(independent, content.correlations))
+    if TRAVEL in drawn:
+        # `Parameters` requires p_sw ≥ d/2, so that a fin that switches does not switch back, and p_sw > δ_c/2.
+        least = np.maximum(0.5 * drawn["pitch"], 0.5 * drawn["clearance"]) * 1.001
+        travelled = drawn["switching_threshold"] - drawn.pop(TRAVEL)
+        drawn["switching_threshold"] = np.maximum(travelled, least)
+    return drawn

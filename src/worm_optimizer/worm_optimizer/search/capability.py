@@ -13,7 +13,7 @@ from worm_model.gait import Gait
 from worm_model.simulation.closed_form import largest_load
 from worm_model.simulation.simulator import cost_of_transport
 from worm_msgs.robot_parameters import STANDARD_GRAVITY
-from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of_gaits
 from worm_optimizer.evaluation.task import Array, MarginTask, Mask
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front
 
@@ -134,9 +134,7 @@ def largest(
 def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, ...]:
     """Return the capability of each gait, computed without a margin."""
     robot = task.with_margin(0.0)
-    shape = shapes_of(len(gaits))
-    for name in shape.dtype.names or ():
-        shape[name] = [getattr(gait, name) for gait in gaits]
+    shape = shapes_of_gaits(gaits)
     columns = (
         np.array([gait.stroke for gait in gaits]),
         np.array([gait.frequency for gait in gaits]),

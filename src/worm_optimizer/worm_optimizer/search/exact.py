@@ -16,13 +16,10 @@ import numpy as np
 
 from worm_model.errors import InputError
 from worm_optimizer.evaluation.task import (
-    EDGE_ALLOWANCE,
-    EDGE_TOLERANCE,
     Array,
     Bounds,
     Edges,
     Index,
-    MarginTask,
     Mask,
     Points,
     Task,
@@ -348,24 +345,6 @@ class ExactFront:
         costs = cost(candidates)
         qualified = np.flatnonzero(np.isfinite(costs))
         return candidates.take(qualified[np.argsort(costs[qualified], kind="stable")[:1]])
-
-    @property
-    def verification(self) -> dict[str, float | int | bool]:
-        """Resolution and result of the check that the power rises with the stroke within a branch, in SI units."""
-        box, scan = self.task.bounds, self.resolution
-        strokes: dict[str, float | int] = {}
-        if isinstance(self.task, MarginTask):
-            step = (box.stroke_high - box.stroke_low) / (scan.strokes - 1)
-            strokes = {"strokes": scan.strokes, "stroke_step": step}
-        return {
-            "frequencies": scan.frequencies,
-            "frequency_step": (box.frequency_high - box.frequency_low) / (scan.frequencies - 1),
-            **strokes,
-            "edge_tolerance": EDGE_TOLERANCE,
-            "edge_allowance": EDGE_ALLOWANCE,
-            "counts_verified": len(self.front),
-            "power_rises": self.power_rises,
-        }
 
 
 def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:

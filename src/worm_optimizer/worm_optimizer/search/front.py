@@ -40,10 +40,8 @@ _LOW_SUCCESS = 0.9
 # 20 N (0.22 Hz), 88 % with 23 N, 54 % with 27 N and 13 % with 31 N (0.3 Hz).
 _MOST_PUSH = 20.0
 _CHANCE_SCENARIOS = 200  # draws of the parameters in the search with Robustness.CHANCE
-_PROMISE_COLUMNS = 41  # largest number of frequencies in the survey of a PromiseTask
-_PROMISE_ZOOM = Zoom(points=9, rounds=6)
-_SHAPED_COLUMNS = 81  # largest number of frequencies in the survey of a ShapedTask
-_SHAPED_ZOOM = Zoom(points=9, rounds=6)
+# Largest number of frequencies in the survey of a task whose edges take long to compute
+_COLUMNS = {PromiseTask: 41, ShapedTask: 81}
 
 
 @dataclass(frozen=True)
@@ -144,13 +142,7 @@ def price_warning(price: PriceOfRobustness) -> str:
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
     """Return the task of some settings without a margin. ``content`` must include the conditions in the pipe."""
-    return MarginTask(
-        content.parameters,
-        direction,
-        bounds=settings.bounds,
-        limits=settings.limits,
-        holding_power=settings.holding_power,
-    )
+    return MarginTask(content.parameters, direction, bounds=settings.bounds, limits=settings.limits)
 
 
 def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTask:
@@ -208,15 +200,12 @@ def make_front(content: ParameterFile, settings: Settings, direction: int) -> Ro
 
 def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
     """Compute the exact front of a task, at fewer frequencies if the edges of the task take long to compute."""
-    if isinstance(task, PromiseTask):
-        frequencies = min(resolution.frequencies, _PROMISE_COLUMNS)
-        fewer = dataclasses.replace(resolution, frequencies=frequencies)
-        return exact_front(task, fewer, _PROMISE_ZOOM)
-    if isinstance(task, ShapedTask):
-        frequencies = min(resolution.frequencies, _SHAPED_COLUMNS)
-        fewer = dataclasses.replace(resolution, frequencies=frequencies)
-        return exact_front(task, fewer, _SHAPED_ZOOM)
-    return exact_front(task, resolution, Zoom())
+    columns = _COLUMNS.get(type(task))
+    if columns is None:
+        return exact_front(task, resolution, Zoom())
+    frequencies = min(resolution.frequencies, columns)
+    fewer = dataclasses.replace(resolution, frequencies=frequencies)
+    return exact_front(task, fewer, Zoom(points=9, rounds=6))
 
 
 def replaced(front: RobustFront, gaits: Points) -> RobustFront:

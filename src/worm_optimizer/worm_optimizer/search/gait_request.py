@@ -124,10 +124,18 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
     match request.objective:
         case Objective.MIN_POWER_AT_SPEED:
             found = front.exact.cheapest(at_speed(request.value))
-            nearest = _too_fast(request.value, front.three["max_speed"])
+            nearest = front.three["max_speed"]
+            reason = (
+                f"no gait of the front reaches {request.value:.6g} m/s: the fastest reaches {nearest.speed:.6g} m/s "
+                f"(margin {1e3 * nearest.margin:.2f} mm); request at most this speed"
+            )
         case Objective.MAX_SPEED_AT_POWER:
             found = front.exact.cheapest(at_power(request.value))
-            nearest = _too_little(request.value, front.three["min_power"])
+            nearest = front.three["min_power"]
+            reason = (
+                f"no gait of the front moves with {request.value:.6g} W: the lowest power is {nearest.power:.6g} W "
+                f"(margin {1e3 * nearest.margin:.2f} mm); request at least this power"
+            )
         case Objective.MIN_POWER | Objective.CRUISE | Objective.MAX_SPEED:
             return GaitAnswer(
                 RequestStatus.DONE, prediction=front.three[request.objective.name.lower()]
@@ -135,7 +143,7 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
         case _:
             assert_never(request.objective)
     if not len(found):
-        return nearest
+        return GaitAnswer(RequestStatus.UNREACHABLE, reason, nearest)
     (prediction,) = front.predicted(found)
     return GaitAnswer(RequestStatus.DONE, prediction=prediction)
 
@@ -150,21 +158,3 @@ def at_power(power: float) -> Cost:
     """Return the `Cost` of a request for the highest speed at a power (W): minus the speed, infinite at more power."""
     most = power * (1.0 + _TOLERANCE)
     return lambda points: np.where(points.power <= most, -points.speed, np.inf)
-
-
-def _too_fast(speed: float, fastest: Prediction) -> GaitAnswer:
-    return GaitAnswer(
-        RequestStatus.UNREACHABLE,
-        f"no gait of the front reaches {speed:.6g} m/s: the fastest reaches {fastest.speed:.6g} m/s "
-        f"(margin {1e3 * fastest.margin:.2f} mm); request at most this speed",
-        fastest,
-    )
-
-
-def _too_little(power: float, lowest: Prediction) -> GaitAnswer:
-    return GaitAnswer(
-        RequestStatus.UNREACHABLE,
-        f"no gait of the front moves with {power:.6g} W: the lowest power is {lowest.power:.6g} W "
-        f"(margin {1e3 * lowest.margin:.2f} mm); request at least this power",
-        lowest,
-    )

@@ -1,98 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NSGA-II, the paper's method, as an iterator over generations, and the comparison of its front with the exact one."""
+"""NSGA-II, the paper's method, and the comparison of its front with the exact one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pymoo.algorithms.moo.nsga2 import NSGA2
-from pymoo.core.evaluator import Evaluator
-from pymoo.core.population import Population
 from pymoo.core.problem import Problem
-from pymoo.problems.static import StaticProblem
+from pymoo.indicators.hv import HV
+from pymoo.optimize import minimize
 
-from worm_optimizer.evaluation.task import Array, Bounds, Index, Points, Task
+from worm_optimizer.evaluation.task import Array, Index, Points, Task
 from worm_optimizer.search.exact import ExactFront
-from worm_optimizer.search.pareto import front_of, hypervolume
+from worm_optimizer.search.pareto import front_of
 from worm_optimizer.search.search_settings import Nsga2Settings
 
 
-@dataclass(frozen=True)
-class Generation:
-    """State of the search after a generation.
-
-    Attributes:
-        number: number of the generation, from 1.
-        of: number of all generations.
-        evaluations: number of gaits evaluated so far.
-        front: non-dominated gaits of all evaluated so far, not only of the present population, by rising speed.
-        hypervolume: hypervolume of the front in m/s·W, see `pareto.hypervolume`.
-    """
-
-    number: int
-    of: int
-    evaluations: int
-    front: Points
-    hypervolume: float
-
-
-def generations(
-    task: Task, settings: Nsga2Settings, reference_power: float
-) -> Iterator[Generation]:
-    """Run NSGA-II on a task, and yield each generation. Equal seeds result in equal fronts.
-
-    ``reference_power`` in W is the corner of the reported hypervolume.
-    """
-    problem = _gait_problem(task.bounds)
-    algorithm = NSGA2(pop_size=settings.population)
-    termination = ("n_gen", settings.generations)
-    algorithm.setup(problem, termination=termination, seed=settings.seed, verbose=False)
-    best: list[Points] = []
-    evaluations = 0
-    while algorithm.has_next():
-        population = algorithm.ask()
-        if population is None:  # All gaits of the box are known: a bound has one value, or few.
-            return
-        offspring = task.points(*population.get("X").T)
-        _assign(problem, population, offspring)
-        algorithm.tell(infills=population)
-        evaluations += len(offspring)
-        front = front_of(Points.join(*best, offspring))
-        best = [front]
-        yield Generation(
-            number=algorithm.n_gen - 1,
-            of=settings.generations,
-            evaluations=evaluations,
-            front=front,
-            hypervolume=hypervolume(front, reference_power),
-        )
-
-
-def _gait_problem(bounds: Bounds) -> Problem:
-    """Return the problem: decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
+class _GaitProblem(Problem):
+    """Decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
 
     The constraint excludes gaits that violate a limit or do not move. Gaits that do not move need the least power.
-    They would therefore be Pareto-optimal in the problem as the paper states it.
+    They would therefore be Pareto-optimal in the problem as the paper states it. ``front`` contains the non-dominated
+    gaits of all evaluated ones.
     """
-    return Problem(
-        n_var=2,
-        n_obj=2,
-        n_ieq_constr=1,
-        xl=np.array([bounds.stroke_low, bounds.frequency_low]),
-        xu=np.array([bounds.stroke_high, bounds.frequency_high]),
-    )
+
+    def __init__(self, task: Task) -> None:
+        box = task.bounds
+        low, high = (
+            np.array([box.stroke_low, box.frequency_low]),
+            np.array([box.stroke_high, box.frequency_high]),
+        )
+        super().__init__(n_var=2, n_obj=2, n_ieq_constr=1, xl=low, xu=high)
+        self._task = task
+        self.front = task.points(np.empty(0), np.empty(0))
+
+    def _evaluate(self, x: Array, out: dict[str, Array], *_: Any, **__: Any) -> None:
+        points = self._task.points(*x.T)
+        self.front = front_of(Points.join(self.front, points))
+        out["F"] = np.column_stack([-points.speed, points.power])
+        out["G"] = points.violation[:, np.newaxis]
 
 
-def _assign(problem: Problem, population: Population, points: Points) -> None:
-    """Assign objectives and violations of evaluated gaits to the individuals of a population."""
-    static = StaticProblem(
+def nsga2_front(
+    task: Task, settings: Nsga2Settings, progress: Callable[[float], None] = lambda _: None
+) -> Points:
+    """Run NSGA-II on a task, and return the non-dominated gaits of all evaluated ones, by rising speed.
+
+    Equal seeds result in equal fronts. ``progress`` is called with the finished share of the generations.
+    """
+    problem, generations = _GaitProblem(task), settings.generations
+    minimize(
         problem,
-        F=np.column_stack([-points.speed, points.power]),
-        G=points.violation[:, np.newaxis],
+        NSGA2(pop_size=settings.population),
+        ("n_gen", generations),
+        seed=settings.seed,
+        callback=lambda algorithm: progress(algorithm.n_gen / generations),
     )
-    Evaluator().eval(static, population)
+    return problem.front
 
 
 # Power at the corner of the hypervolume, relative to the highest power of the exact front. With 1, the fastest gait
@@ -106,7 +73,7 @@ class Comparison:
 
     Attributes:
         front: front of NSGA-II.
-        hypervolume_share: its hypervolume, relative to that of the exact front; see `reference_power_of`.
+        hypervolume_share: its hypervolume, relative to that of the exact front; see `hypervolume`.
         missed_branches: grooves per cycle of the branches that only the exact front contains.
         largest_excess_power: largest relative excess of the power of a gait of NSGA-II over the lowest power of all
             gaits that are at least as fast.
@@ -116,11 +83,6 @@ class Comparison:
     hypervolume_share: float
     missed_branches: tuple[float, ...]
     largest_excess_power: float
-
-
-def reference_power_of(exact: ExactFront) -> float:
-    """Return the power at the corner of the hypervolumes in W."""
-    return _CORNER * float(exact.front.power.max())
 
 
 def compared(exact: ExactFront, front: Points) -> Comparison:
@@ -134,13 +96,20 @@ def compared(exact: ExactFront, front: Points) -> Comparison:
     scan = np.linspace(box.stroke_low, box.stroke_high, strokes)
     edges = exact.task.edges(frequency, np.tile(scan, (frequency.size, 1)))
     best = front_of(Points.join(exact.front, edges.points))
-    corner = reference_power_of(exact)
+    corner = _CORNER * float(exact.front.power.max())  # W
     missed = sorted(set(exact.front.grooves.tolist()) - set(front.grooves.tolist()))
     return Comparison(
         front=front,
         hypervolume_share=hypervolume(front, corner) / hypervolume(best, corner),
         missed_branches=tuple(missed),
         largest_excess_power=float(np.max(front.power / _lowest_power(best, front) - 1.0)),
+    )
+
+
+def hypervolume(front: Points, reference_power: float) -> float:
+    """Return the area in m/s·W that a front dominates up to the corner (0 m/s, ``reference_power`` W)."""
+    return float(
+        HV(ref_point=[0.0, reference_power])(np.stack([-front.speed, front.power], axis=1))
     )
 
 

@@ -27,13 +27,3 @@ def front_of(points: Points) -> Points:
     """
     admissible = points.take(points.admissible)
     return admissible.take(non_dominated(admissible.count * admissible.frequency, admissible.power))
-
-
-def hypervolume(front: Points, reference_power: float) -> float:
-    """Return the area in m/s·W that a front dominates up to the corner (0 m/s, ``reference_power`` W).
-
-    ``front`` is a result of `front_of`. Gaits above the reference power do not contribute.
-    """
-    height = np.maximum(reference_power - front.power, 0.0)
-    width = np.diff(front.speed, prepend=0.0)
-    return float(np.sum(width * height))

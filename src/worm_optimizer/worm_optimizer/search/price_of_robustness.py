@@ -10,17 +10,16 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from worm_model.errors import InputError
 from worm_model.gait import AVERAGED
-from worm_model.parameters import Parameters
 from worm_model.simulation import closed_form
 from worm_model.simulation.simulator import cost_of_transport
-from worm_optimizer.evaluation.task import Array, Bounds, Edges, Index, Points
+from worm_optimizer.evaluation.task import Array, Edges, Index, MarginTask, Points
 from worm_optimizer.search import exact
+from worm_optimizer.search.shaped import ShapedTask
 
 CLIFF_RISE = 1.25  # least factor by which the lowest cost of transport rises at a cliff
 CLIFF_TOLERANCE = 1e-6  # accuracy of the margin at the cliff, m
@@ -124,32 +123,7 @@ class PriceOfRobustness:
         return max(point.margin for point in self.points if point.branch)
 
 
-class ScannedTask(Protocol):
-    """Task whose edges at any margin are available."""
-
-    @property
-    def bounds(self) -> Bounds:
-        """The box of gaits."""
-
-    @property
-    def parameters(self) -> Parameters:
-        """The robot."""
-
-    @property
-    def direction(self) -> int:
-        """Direction of the gaits."""
-
-    def edges(
-        self,
-        frequency: Array,
-        strokes: Array,
-        count: Index | None = None,
-        margin: Array | None = None,
-    ) -> Edges:
-        """Find the edges of all branches, see `task.Task.edges`; ``margin`` (m) has the shape of ``frequency``."""
-
-
-def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
+def price_of_robustness(task: MarginTask | ShapedTask, margins: Array) -> PriceOfRobustness:
     """Scan the rising ``margins`` in m of shape (n,) and locate the cliff."""
     points = scan(task, margins)
     return PriceOfRobustness(
@@ -160,7 +134,7 @@ def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
     )
 
 
-def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
+def scan(task: MarginTask | ShapedTask, margins: Array) -> tuple[MarginPoint, ...]:
     """Return the gait with the lowest cost of transport at each of ``margins`` in m of shape (n,)."""
     columns, box = _RESOLUTION.columns(task.bounds), task.bounds
     at = np.repeat(margins, columns.size)
@@ -180,7 +154,9 @@ def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
     return tuple(_margin_point(task, *pair) for pair in zip(margins.tolist(), optima, strict=True))
 
 
-def _followed(task: ScannedTask, brackets: Sequence[exact.Bracket], margins: Array) -> list[Points]:
+def _followed(
+    task: MarginTask | ShapedTask, brackets: Sequence[exact.Bracket], margins: Array
+) -> list[Points]:
     """Minimise the cost in each bracket, and return the minima of each margin.
 
     The field ``owner`` of a bracket is the index of its margin.
@@ -194,7 +170,7 @@ def _followed(task: ScannedTask, brackets: Sequence[exact.Bracket], margins: Arr
     return [best.take(known & (owner == place)) for place in range(margins.size)]
 
 
-def _margin_point(task: ScannedTask, margin: float, points: Points) -> MarginPoint:
+def _margin_point(task: MarginTask | ShapedTask, margin: float, points: Points) -> MarginPoint:
     if not len(points):
         return MarginPoint(margin, math.nan, math.nan, math.nan, 0.0, ())
     cost = cost_of_transport(points.speed, points.power, task.parameters.mass)
@@ -209,7 +185,7 @@ def _margin_point(task: ScannedTask, margin: float, points: Points) -> MarginPoi
     )
 
 
-def find_cliff(task: ScannedTask, points: Sequence[MarginPoint]) -> Cliff | None:
+def find_cliff(task: MarginTask | ShapedTask, points: Sequence[MarginPoint]) -> Cliff | None:
     """Locate the cliff of a scan by `CLIFF_RULE`; None if there is none. ``points`` by rising margin."""
     for before, after in itertools.pairwise(points):
         if _is_lost(before, after):
@@ -226,7 +202,7 @@ def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
     return not after.branch or after.cost_of_transport >= CLIFF_RISE * before.cost_of_transport
 
 
-def _bisected(task: ScannedTask, before: MarginPoint, after: MarginPoint) -> float:
+def _bisected(task: MarginTask | ShapedTask, before: MarginPoint, after: MarginPoint) -> float:
     """Bisect between two scanned margins, and return the largest evaluated margin (m) that is below the cliff."""
     low, high = before.margin, after.margin
     while high - low > CLIFF_TOLERANCE:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 
@@ -22,9 +22,10 @@ from worm_msgs.gait import (
     RAMP_SHARE_RANGE,
 )
 from worm_msgs.parameter_rows import ParameterRow
+from worm_msgs.servo_models import SERVO_MODELS
 from worm_msgs.settings_file import key
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
-from worm_optimizer.evaluation.servo_limits import servo_models, within
+from worm_optimizer.evaluation.servo_limits import within
 from worm_optimizer.evaluation.task import Array, Bounds
 from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import Resolution
@@ -78,7 +79,15 @@ class Nsga2Settings:
             raise InputError(f"search: seed {self.seed}: give one from 0 to {2**32 - 1}")
 
 
-class Robustness(enum.StrEnum):
+class _Choice(enum.StrEnum):
+    """Enumeration whose unknown names are rejected with the known ones."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> NoReturn:
+        raise InputError(f"{cls.__name__.lower()}: {value!r} is none of {', '.join(cls)}")
+
+
+class Robustness(_Choice):
     """Criterion that keeps gaits away from the edges of their branch."""
 
     MARGIN = "margin"  # the paper's enlarged threshold
@@ -86,24 +95,11 @@ class Robustness(enum.StrEnum):
     ANY_PHASE = "any_phase"  # a gait keeps its grooves at every groove phase
 
 
-class Waveform(enum.StrEnum):
+class Waveform(_Choice):
     """Waveforms among which a search chooses."""
 
     SINUSOID = "sinusoid"  # the paper's waveform
     SHAPED = "shaped"  # any pretension, contraction share, profile and ramp share within bounds
-
-
-_Choice = TypeVar("_Choice", Robustness, Waveform)
-
-
-def choice_of(kind: type[_Choice], name: str) -> _Choice:
-    """Return the member of an enumeration with a name. Raises `InputError`, with the known names, if there is none."""
-    try:
-        return kind(name)
-    except ValueError:
-        raise InputError(
-            f"{kind.__name__.lower()}: {name!r} is none of {', '.join(kind)}"
-        ) from None
 
 
 @dataclass(frozen=True)
@@ -124,7 +120,6 @@ class Settings:
         conditions: conditions in the pipe.
         waveform: waveforms among which the search chooses.
         shapes: bounds of shaped gaits.
-        holding_power: power for each newton of the mean cable force, W/N, see `task.MarginTask`.
         margin_force: margin, given as the load in N that a slow gait with this margin tolerates; see
             `front.given_margin`.
     """
@@ -141,7 +136,6 @@ class Settings:
     conditions: Conditions = field(default_factory=Conditions)
     waveform: Waveform = Waveform.SINUSOID
     shapes: ShapeBounds = field(default_factory=ShapeBounds)
-    holding_power: float = 0.0
     margin_force: float | None = None
 
     @property
@@ -161,10 +155,6 @@ class Settings:
             )
         if self.margin is not None and self.margin_force is not None:
             raise InputError("margin: is given both in m and as a load in N; give one of them")
-        if not 0.0 <= self.holding_power < math.inf:
-            raise InputError(
-                f"holding_power: {self.holding_power} W/N: give a finite number that is not negative"
-            )
         if self.waveform is Waveform.SHAPED and self.robustness is not Robustness.MARGIN:
             raise InputError(
                 f"robustness: {self.robustness.value} needs waveform sinusoid. Use this waveform, or robustness margin"
@@ -181,32 +171,37 @@ class Settings:
             )
 
 
-@dataclass(frozen=True)
-class SettingRow:
-    """Setting, from which a parameter of the node, an option of the commands and a row of the docs are generated.
+@dataclass(frozen=True, kw_only=True)
+class SettingRow(ParameterRow):
+    """Setting: a parameter of the node, an option of the commands, and a row of the docs.
 
     Attributes:
-        parameter: name of the node's parameter.
         option: name of the commands' option. Two rows with the same option are the two values of this option.
-        default: default value.
-        meaning: description.
-        low, high: bounds of a number; None without a bound.
         choices: admissible texts; empty if all are admissible.
     """
 
-    parameter: str
     option: str
-    default: Any
-    meaning: str
-    low: float | None = None
-    high: float | None = None
     choices: tuple[str, ...] = ()
 
 
+def _row(
+    name: str,
+    option: str,
+    default: Any,
+    description: str,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> SettingRow:
+    """Return a setting. Only the conditions may be changed while the node runs."""
+    read_only = name not in CONDITION_ROWS
+    row = name, default, description, low, high, read_only
+    return SettingRow(*row, option=option, choices=choices)
+
+
 _BOX, _SCAN, _PLAIN, _SHAPES = Bounds(), ScanSettings(), Settings(), ShapeBounds()
-_Row = SettingRow
 _CONDITIONS = tuple(
-    _Row(
+    _row(
         name,
         row["option"].removeprefix("--"),
         0.0,
@@ -216,116 +211,110 @@ _CONDITIONS = tuple(
     )
     for name, row in CONDITION_ROWS.items()
 )
-
-# Settings of a margin scan, which also apply to a front
-SCAN_SETTINGS: tuple[SettingRow, ...] = (
-    _Row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
-    _Row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
-    _Row("frequency_low_hz", "frequencies", _BOX.frequency_low, "least frequency, Hz", 1e-3, MAX_FREQUENCY),
-    _Row("frequency_high_hz", "frequencies", _BOX.frequency_high, "greatest frequency, Hz", 1e-3, MAX_FREQUENCY),
-    _Row("limits.max_cable_speed_m_per_s", "max-cable-speed", 0.0, "greatest cable speed, m/s; 0: no limit", 0.0,
-         100.0),
-    _Row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
-    _Row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
-    _Row("limits.max_push_force_n", "max-push-force", 0.0, "greatest force with which the cable may push in the model, "
-         "N; 0: no limit", 0.0, 1e5),
-    _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits apply too; empty: none"),
-    _Row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
-         f"{', '.join(servo_models())}; empty: unknown"),
-    _Row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
-         "V; 0: the voltage that their manual recommends", 0.0, 100.0),
-    *_CONDITIONS,
-    _Row("waveform", "waveform", Waveform.SINUSOID.value, "waveforms that are searched: the paper's (sinusoid), or all "
-         "with pretension, contraction share, profile and ramp share within bounds (shaped)",
-         choices=tuple(kind.value for kind in Waveform)),
-    _Row("pretension_low_m", "pretensions", _SHAPES.pretension[0], "least pretension of shaped gaits, m", 0.0,
-         MAX_PRETENSION),
-    _Row("pretension_high_m", "pretensions", _SHAPES.pretension[1], "greatest pretension, m; the greatest stroke "
-         "bounds pretension and stroke together", 0.0, MAX_PRETENSION),
-    _Row("contraction_share_low", "contraction-shares", _SHAPES.contraction_share[0], "least contraction share of "
-         "shaped gaits", *CONTRACTION_SHARE_RANGE),
-    _Row("contraction_share_high", "contraction-shares", _SHAPES.contraction_share[1], "greatest contraction share",
-         *CONTRACTION_SHARE_RANGE),
-    _Row("ramp_share_low", "ramp-shares", _SHAPES.ramp_share[0], "least ramp share of shaped gaits", *RAMP_SHARE_RANGE),
-    _Row("ramp_share_high", "ramp-shares", _SHAPES.ramp_share[1], "greatest ramp share", *RAMP_SHARE_RANGE),
-    _Row("holding_power_w_per_n", "holding-power", 0.0, "power for each newton of the mean cable force, W/N", 0.0, 1e3),
-    _Row("scan_lowest_m", "lowest", _SCAN.lowest, "least margin of the scan, m", 0.0, MAX_MARGIN),
-    _Row("scan_highest_m", "highest", _SCAN.highest, "greatest margin of the scan, m", 0.0, MAX_MARGIN),
-    _Row("scan_step_m", "step", _SCAN.step, "step between the margins of the scan, m", 1e-6, MAX_MARGIN),
+# The rows of each part of the settings, in the order of its fields
+_BOX_ROWS = (
+    _row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
+    _row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
+    _row("frequency_low_hz", "frequencies", _BOX.frequency_low, "least frequency, Hz", 1e-3, MAX_FREQUENCY),
+    _row("frequency_high_hz", "frequencies", _BOX.frequency_high, "greatest frequency, Hz", 1e-3, MAX_FREQUENCY),
 )  # fmt: skip
+_LIMIT_ROWS = (
+    _row("limits.max_cable_speed_m_per_s", "max-cable-speed", 0.0, "greatest cable speed, m/s; 0: no limit", 0.0,
+         100.0),
+    _row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
+    _row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
+    _row("limits.max_push_force_n", "max-push-force", 0.0, "greatest force with which the cable may push in the model, "
+         "N; 0: no limit", 0.0, 1e5),
+)  # fmt: skip
+_DRIVER_ROWS = (
+    _row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits apply too; empty: none"),
+    _row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
+         f"{', '.join(row.name for row in SERVO_MODELS)}; empty: unknown"),
+    _row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
+         "V; 0: the voltage that their manual recommends", 0.0, 100.0),
+)  # fmt: skip
+_WAVEFORM_ROW = _row(
+    "waveform",
+    "waveform",
+    Waveform.SINUSOID.value,
+    "waveforms that are searched: the paper's (sinusoid), or all "
+    "with pretension, contraction share, profile and ramp share within bounds (shaped)",
+    choices=tuple(kind.value for kind in Waveform),
+)
+_SHAPE_ROWS = (
+    _row("pretension_low_m", "pretensions", _SHAPES.pretension[0], "least pretension of shaped gaits, m", 0.0,
+         MAX_PRETENSION),
+    _row("pretension_high_m", "pretensions", _SHAPES.pretension[1], "greatest pretension, m; the greatest stroke "
+         "bounds pretension and stroke together", 0.0, MAX_PRETENSION),
+    _row("contraction_share_low", "contraction-shares", _SHAPES.contraction_share[0], "least contraction share of "
+         "shaped gaits", *CONTRACTION_SHARE_RANGE),
+    _row("contraction_share_high", "contraction-shares", _SHAPES.contraction_share[1], "greatest contraction share",
+         *CONTRACTION_SHARE_RANGE),
+    _row("ramp_share_low", "ramp-shares", _SHAPES.ramp_share[0], "least ramp share of shaped gaits", *RAMP_SHARE_RANGE),
+    _row("ramp_share_high", "ramp-shares", _SHAPES.ramp_share[1], "greatest ramp share", *RAMP_SHARE_RANGE),
+)  # fmt: skip
+_SCAN_ROWS = (
+    _row("scan_lowest_m", "lowest", _SCAN.lowest, "least margin of the scan, m", 0.0, MAX_MARGIN),
+    _row("scan_highest_m", "highest", _SCAN.highest, "greatest margin of the scan, m", 0.0, MAX_MARGIN),
+    _row("scan_step_m", "step", _SCAN.step, "step between the margins of the scan, m", 1e-6, MAX_MARGIN),
+)  # fmt: skip
+#: Box of gaits and limits of the robot
+LIMIT_SETTINGS = (*_BOX_ROWS, *_LIMIT_ROWS, *_DRIVER_ROWS)
+# Settings of a margin scan, which also apply to a front
+SCAN_SETTINGS = (*LIMIT_SETTINGS, *_CONDITIONS, _WAVEFORM_ROW, *_SHAPE_ROWS, *_SCAN_ROWS)
 FRONT_SETTINGS: tuple[SettingRow, ...] = (
-    _Row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: the last margin of the scan before "
+    _row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: the last margin of the scan before "
          "the cliff"),
-    _Row("margin_n", "margin-n", math.nan, "robustness margin, given as the load that it allows for, N"),
-    _Row("robustness", "robustness", Robustness.MARGIN.value, "criterion of robustness: an enlarged switching "
+    _row("margin_n", "margin-n", math.nan, "robustness margin, given as the load that it allows for, N"),
+    _row("robustness", "robustness", Robustness.MARGIN.value, "criterion of robustness: an enlarged switching "
          "threshold (margin), a given probability that the gait gains its grooves (chance), or that it gains them at "
          "every groove phase (any_phase)", choices=tuple(kind.value for kind in Robustness)),
-    _Row("probability", "probability", _PLAIN.probability, "for robustness chance: lowest admissible probability "
+    _row("probability", "probability", _PLAIN.probability, "for robustness chance: lowest admissible probability "
          "that the gait gains its grooves", 0.0, 1.0),
-    _Row("seed", "seed", _PLAIN.seed, "seed of the Monte Carlo draws, and of NSGA-II", 0, 2**32 - 1),
-    _Row("samples", "samples", _PLAIN.samples, "number of draws of the parameters for a success probability", 1,
+    _row("seed", "seed", _PLAIN.seed, "seed of the Monte Carlo draws, and of NSGA-II", 0, 2**32 - 1),
+    _row("samples", "samples", _PLAIN.samples, "number of draws of the parameters for a success probability", 1,
          1_000_000),
 )  # fmt: skip
 SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
 
 
 def rows() -> list[ParameterRow]:
-    """Return the parameters of the node. Only the parameter file and the conditions may be changed later."""
-    return [
-        ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
-        *(
-            ParameterRow(
-                row.parameter,
-                row.default,
-                row.meaning,
-                row.low,
-                row.high,
-                read_only=row.parameter not in CONDITION_ROWS,
-            )
-            for row in SETTINGS
-        ),
-    ]
+    """Return the parameters of the node."""
+    file = ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values.")
+    return [file, *SETTINGS]
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """Return the settings from values by `SettingRow.parameter`. A missing value is the default of its row.
+    """Return the settings from values by name. A missing value is the default of its row.
 
     Raises `InputError` if the values are inadmissible or inconsistent.
     """
-    value = {row.parameter: row.default for row in SETTINGS} | dict(values)
-    speed, force, power, push = (
-        value[f"limits.max_{name}"] or math.inf
-        for name in ("cable_speed_m_per_s", "cable_force_n", "power_w", "push_force_n")
-    )
-    names = ("stroke_low_m", "stroke_high_m", "frequency_low_hz", "frequency_high_hz")
+    value = {row.name: row.default for row in SETTINGS} | dict(values)
+
+    def of(rows: Sequence[SettingRow]) -> list[Any]:
+        return [value[row.name] for row in rows]
+
+    speed, force, power, push = (limit or math.inf for limit in of(_LIMIT_ROWS))
+    file, model, voltage = of(_DRIVER_ROWS)
     bounds, limits = within(
-        Bounds(*(value[name] for name in names)),
+        Bounds(*of(_BOX_ROWS)),
         ActuatorLimits(speed, force, power, pushing_force=push),
-        value["limits.driver_file"],
-        value["limits.servo_model"],
-        value["limits.supply_voltage_v"] or None,
+        file,
+        model,
+        voltage or None,
     )
+    shapes = of(_SHAPE_ROWS)
     return Settings(
         bounds=bounds,
         limits=limits,
-        scan=ScanSettings(value["scan_lowest_m"], value["scan_highest_m"], value["scan_step_m"]),
-        robustness=choice_of(Robustness, value["robustness"]),
+        scan=ScanSettings(*of(_SCAN_ROWS)),
+        robustness=Robustness(value["robustness"]),
         probability=value["probability"],
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         seed=value["seed"],
         conditions=Conditions(**{name: value[name] for name in CONDITION_ROWS}),
-        waveform=choice_of(Waveform, value["waveform"]),
-        shapes=ShapeBounds(
-            *(
-                (value[f"{name}_low{unit}"], value[f"{name}_high{unit}"])
-                for name, unit in (
-                    ("pretension", "_m"),
-                    ("contraction_share", ""),
-                    ("ramp_share", ""),
-                )
-            )
-        ),
-        holding_power=value["holding_power_w_per_n"],
+        waveform=Waveform(value["waveform"]),
+        shapes=ShapeBounds(*zip(shapes[::2], shapes[1::2], strict=True)),
         margin_force=None if math.isnan(value["margin_n"]) else value["margin_n"],
     )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Studies of many parameter sets, on the cores of one machine or of a cluster.
 
-- `study_file` reads and validates the description of a study, and `plan` defines it.
+- `study_file` reads and validates a study.
 - `point` computes the results of one parameter set: fronts, gaits, margin scans and success probabilities.
 - `blocks` distributes points to Dask workers and stores finished blocks, and `study_run` writes the result.
 

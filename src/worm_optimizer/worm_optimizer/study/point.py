@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,44 +16,29 @@ from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
-from worm_msgs.gait import FORWARD, GAIT_MEANINGS, GAIT_UNITS
+from worm_msgs.gait import FORWARD
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
-from worm_optimizer.evaluation.command_shape import SHAPE_ROW, Shapes, shapes_of
-from worm_optimizer.evaluation.servo_limits import limits_of, servo_model
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.robustness.prediction import success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
-from worm_optimizer.search.corners import ShapeBounds
-from worm_optimizer.search.exact import (
-    Cost,
-    ExactFront,
-    power_cost,
-    speed_cost,
-    transport_cost,
-)
-from worm_optimizer.search.front import (
-    any_phase_task,
-    front_of_task,
-    price_of,
-    thinned,
-    waveform_task,
-)
+from worm_optimizer.search.exact import ExactFront, power_cost, speed_cost, transport_cost
+from worm_optimizer.search.front import any_phase_task, front_of_task, thinned
 from worm_optimizer.search.gait_request import Objective, at_power, at_speed
-from worm_optimizer.search.pareto import hypervolume
-from worm_optimizer.search.price_of_robustness import PriceOfRobustness
-from worm_optimizer.search.search_settings import Settings, Waveform
-from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, SHAPE_BOUNDS, Array, Study
+from worm_optimizer.search.price_of_robustness import price_of_robustness
+from worm_optimizer.study.study_file import BOUNDS, LIMITS, PARAMETER_FILE, Array, Quantity, Study
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions of the results of one point
 DONE, FAILED = 1, 2  # values of the variable "state"
-# Default reference power of hypervolumes, W; more than the fastest gait of the paper's robot needs.
-REFERENCE_POWER = 20.0
-THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
-REQUESTS = {
-    "at_power_W": Objective.MAX_SPEED_AT_POWER,
-    "at_speed_m_s": Objective.MIN_POWER_AT_SPEED,
+# Gaits of each point with their costs, and those of the points with a value of a quantity
+_THREE = {
+    Objective.MIN_POWER: power_cost,
+    Objective.CRUISE: transport_cost,
+    Objective.MAX_SPEED: speed_cost,
 }
-_COSTS = {"at_power_W": at_power, "at_speed_m_s": at_speed}
+_REQUESTED = {
+    "at_power_W": (Objective.MAX_SPEED_AT_POWER, at_power),
+    "at_speed_m_s": (Objective.MIN_POWER_AT_SPEED, at_speed),
+}
 
 
 @dataclass(frozen=True)
@@ -66,16 +50,6 @@ class Variable:
     long_name: str
 
 
-def gait_names(study: Study) -> list[str]:
-    """Return the names of the gaits of a point.
-
-    They are `THREE_GAITS`, and those of `REQUESTS` for whose key the study contains a value.
-    """
-    named = {*study.fixed, *study.varied}
-    wanted = [objective for key, objective in REQUESTS.items() if key in named]
-    return [objective.name.lower() for objective in (*THREE_GAITS, *wanted)]
-
-
 _OF_GAIT = {
     "stroke": ("m", "stroke"),
     "frequency": ("Hz", "frequency"),
@@ -84,68 +58,62 @@ _OF_GAIT = {
     "cost_of_transport": ("1", "cost of transport, with the margin"),
     "grooves_per_cycle": ("1", "mean grooves gained in an averaged cycle, with the margin"),
 }
-_OF_SHAPE = {name: (GAIT_UNITS[name], GAIT_MEANINGS[name]) for name in SHAPE_ROW.names or ()}
 _NOMINAL = {
     "nominal_speed": ("m/s", "speed along the direction, without a margin"),
     "nominal_power": ("W", "mean source power, without a margin"),
 }
-
-
-def _of_gait(study: Study) -> dict[str, tuple[str, str]]:
-    """Return the unit and the description of each result of a gait, by name."""
-    return {**_OF_GAIT, **(_OF_SHAPE if study.waveform is Waveform.SHAPED else {})}
+_DRAWN = "share of draws of parameters and travel error that gain the predicted grooves, at"
+_SUCCESS = {
+    "success_probability": ("1", f"{_DRAWN} the known groove phase"),
+    "success_probability_any_phase": ("1", f"{_DRAWN} an unknown phase"),
+}
 
 
 def variables(study: Study) -> dict[str, Variable]:
     """Return the variables of a study, by name."""
-    of_gait = _of_gait(study)
-    variables_of = {
+    compute = study.file.compute
+    found = {
         "margin": Variable((), "m", "margin of front and gaits"),
         "groove_phase": Variable((), "m", "groove phase of the point"),
         "closed_form_cliff_margin": Variable((), "m", "margin of the cliff in the slow limit"),
     }
-    if "front" in study.compute:
-        variables_of["front_size"] = Variable((), "1", "gaits of the whole front")
-        variables_of["hypervolume"] = Variable(
-            (), "m W/s", "area that the whole front dominates, up to the reference power"
-        )
-        variables_of |= {
+    if "front" in compute:
+        found["front_size"] = Variable((), "1", "gaits of the whole front")
+        found |= {
             f"front_{name}": Variable((FRONT,), unit, f"of the front: {words}")
-            for name, (unit, words) in of_gait.items()
+            for name, (unit, words) in _OF_GAIT.items()
             if name != "cost_of_transport"
         }
-    if "gaits" in study.compute or "success" in study.compute:
-        rows = {**of_gait, **_NOMINAL}
-        variables_of |= {name: Variable((GAIT,), *row) for name, row in rows.items()}
-    if "cliff" in study.compute or study.margin_at_cliff:
-        variables_of["cliff_margin"] = Variable((), "m", "margin at the cliff")
-        variables_of["cliff_rise"] = Variable(
+    of_gait = _OF_GAIT | _NOMINAL if {"gaits", "success"} & set(compute) else {}
+    of_gait = of_gait | (_SUCCESS if "success" in compute else {})
+    found |= {name: Variable((GAIT,), *row) for name, row in of_gait.items()}
+    if "cliff" in compute or study.file.margin_at_cliff:
+        found["cliff_margin"] = Variable((), "m", "margin at the cliff")
+        found["cliff_rise"] = Variable(
             (), "1", "factor of the lowest cost of transport at the cliff"
         )
-        variables_of["scan_cost_of_transport"] = Variable(
+        found["scan_cost_of_transport"] = Variable(
             (SCAN,), "1", "lowest cost of transport of the scan"
         )
-    if "success" in study.compute:
-        for name, words in (
-            ("", "at the known groove phase"),
-            ("_any_phase", "at an unknown phase"),
-        ):
-            text = f"share of draws of parameters and travel error that gain the predicted grooves, {words}"
-            variables_of[f"success_probability{name}"] = Variable((GAIT,), "1", text)
-    if "any_phase" in study.compute:
-        variables_of |= {
+    if "any_phase" in compute:
+        found |= {
             f"any_phase_{name}": Variable((GAIT,), unit, f"of any-phase gaits: {words}")
-            for name, (unit, words) in of_gait.items()
+            for name, (unit, words) in _OF_GAIT.items()
         }
-    return variables_of
+    return found
 
 
 def dimensions(study: Study) -> dict[str, Sequence[Any]]:
-    """Return the dimensions of the results of one point, with their coordinates."""
+    """Return the dimensions of the results of one point, with their coordinates.
+
+    The gaits are the paper's three, and those for whose quantity the study contains a value.
+    """
+    named = {*study.file.fixed, *study.file.vary}
+    requested = (objective for key, (objective, _) in _REQUESTED.items() if key in named)
     return {
-        FRONT: list(range(study.resolution.front_gaits)),
-        GAIT: gait_names(study),
-        SCAN: [float(margin) for margin in study.scan.margins()],
+        FRONT: range(study.file.resolution.front_gaits),
+        GAIT: [objective.name.lower() for objective in (*_THREE, *requested)],
+        SCAN: study.file.scan.margins().tolist(),
     }
 
 
@@ -195,30 +163,30 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
         InputError: The point is not admissible.
         SimulationError: The simulator failed at the point.
     """
-    given = {**study.fixed, **values}
+    file, given = study.file, {**study.file.fixed, **values}
     content = content_of(study, given)
-    task = task_of(study, given, content.parameters)
+    parameters = content.parameters
+    task = task_of(given, parameters)
     results: dict[str, Any] = {
-        "groove_phase": groove_phase(content.parameters),
-        "closed_form_cliff_margin": cliff_margin(content.parameters),
+        "groove_phase": groove_phase(parameters),
+        "closed_form_cliff_margin": cliff_margin(parameters),
     }
-    settings = settings_of(study, given)
     margin: float | None = given.get("margin_m")
-    if "cliff" in study.compute or study.margin_at_cliff:
-        price = price_of(task, settings)
-        results |= _cliff(price)
-        if study.margin_at_cliff:
+    if "cliff" in file.compute or file.margin_at_cliff:
+        price = price_of_robustness(task, file.scan.margins())
+        results["scan_cost_of_transport"] = [each.cost_of_transport for each in price.points]
+        if price.cliff is not None:
+            results |= {"cliff_margin": price.cliff.margin, "cliff_rise": price.cliff.rise}
+        if file.margin_at_cliff:
             margin = price.margin if price.moves else None
     if margin is not None:
         results["margin"] = margin
-        if {"front", "gaits", "success"} & set(study.compute):
-            exact = front_of_task(
-                waveform_task(task.with_margin(margin), settings), study.resolution.scan
-            )
+        if {"front", "gaits", "success"} & set(file.compute):
+            exact = front_of_task(task.with_margin(margin), file.resolution.scan)
             results |= _robust(study, given, content, task, exact)
-    if "any_phase" in study.compute:
-        front = front_of_task(any_phase_task(task), study.resolution.scan)
-        chosen = _chosen(study, given, front, content.parameters)
+    if "any_phase" in file.compute:
+        front = front_of_task(any_phase_task(task), file.resolution.scan)
+        chosen = _chosen(study, given, front, parameters)
         results |= {f"any_phase_{name}": column for name, column in chosen.items()}
     return results
 
@@ -233,10 +201,9 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
         study: study.
         given: values of all varied and fixed quantities, by name.
     """
-    content = study.files[int(given.get(PARAMETER_FILE, 0))][1]
+    content = study.robots[int(given.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
-    changes = {key: given[key] for key in KEYS if key in given}
-    new = old.replace(**changes)
+    new = old.replace(**{key: given[key] for key in KEYS if key in given})
     if "groove_phase_m" in given:
         phase = given["groove_phase_m"]
         if not -0.5 * new.pitch < phase <= 0.5 * new.pitch:
@@ -265,52 +232,18 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
     return content_under(Conditions(**conditions), changed)
 
 
-def settings_of(study: Study, given: Mapping[str, float]) -> Settings:
-    """Return the settings of the search at a point: margin scan, waveform and bounds of the shapes (cf. `task_of`)."""
-    plain = dataclasses.astuple(ShapeBounds())
-    ends = (
-        tuple(given.get(name, end) for name, end in zip(names, row, strict=True))
-        for names, row in zip(SHAPE_BOUNDS, plain, strict=True)
-    )
-    return Settings(scan=study.scan, waveform=study.waveform, shapes=ShapeBounds(*ends))
-
-
-def task_of(study: Study, given: Mapping[str, float], parameters: Parameters) -> MarginTask:
+def task_of(given: Mapping[str, float], parameters: Parameters) -> MarginTask:
     """Return the optimisation task of a point, without a margin."""
-    plain = Bounds()
-    box = {
-        "stroke_low": given.get("min_stroke_m", plain.stroke_low),
-        "stroke_high": given.get("max_stroke_m", plain.stroke_high),
-        "frequency_low": given.get("min_frequency_Hz", plain.frequency_low),
-        "frequency_high": given.get("max_frequency_Hz", plain.frequency_high),
-    }
-    limits = ActuatorLimits(*(given.get(name, math.inf) for name in LIMITS))
-    if study.hardware.driver is not None:
-        driver = study.hardware.driver
-        if "spool_radius_m" in given:
-            radii = (given["spool_radius_m"],) * len(driver.spool_radii)
-            driver = dataclasses.replace(driver, spool_radii=radii)
-        box["stroke_high"] = min(box["stroke_high"], driver.max_stroke)
-        box["frequency_high"] = min(box["frequency_high"], driver.max_frequency)
-        model = servo_model(study.hardware.model)
-        limits = limits.tightened(limits_of(driver, model, study.hardware.voltage))
-    direction = int(given.get("direction", FORWARD))
     return MarginTask(
         parameters,
-        direction,
-        bounds=Bounds(**box),
-        limits=limits,
-        holding_power=given.get("holding_power_W_per_N", 0.0),
+        int(given.get("direction", FORWARD)),
+        bounds=Bounds(**_fields(BOUNDS, given)),
+        limits=ActuatorLimits(**_fields(LIMITS, given)),
     )
 
 
-def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
-    results: dict[str, Any] = {
-        "scan_cost_of_transport": [point.cost_of_transport for point in price.points]
-    }
-    if price.cliff is not None:
-        results |= {"cliff_margin": price.cliff.margin, "cliff_rise": price.cliff.rise}
-    return results
+def _fields(rows: Mapping[str, Quantity], given: Mapping[str, float]) -> dict[str, float]:
+    return {row.field: given[name] for name, row in rows.items() if name in given}
 
 
 def _robust(
@@ -324,83 +257,55 @@ def _robust(
 
     ``task`` is the task of ``exact`` without the margin. The nominal predictions result from it.
     """
-    front = exact.front
+    compute, resolution = study.file.compute, study.file.resolution
+    front, parameters = exact.front, content.parameters
     results: dict[str, Any] = {}
-    if "front" in study.compute:
+    if "front" in compute:
         results["front_size"] = len(front)
-        corner = given.get("reference_power_W", REFERENCE_POWER)
-        results["hypervolume"] = hypervolume(front, corner)
         if len(front):
-            results |= _kept_front(study, front, content.parameters)
-    if not len(front) or not {"gaits", "success"} & set(study.compute):
+            kept = front.take(thinned(front, parameters, resolution.front_gaits))
+            for name, column in _figures(kept, parameters).items():
+                stored = np.full(resolution.front_gaits, np.nan)
+                stored[: len(kept)] = column
+                results[f"front_{name}"] = stored
+            del results["front_cost_of_transport"]
+    if not len(front) or not {"gaits", "success"} & set(compute):
         return results
-    chosen = _chosen(study, given, exact, content.parameters)
-    results |= chosen
+    chosen = _chosen(study, given, exact, parameters)
     known = np.isfinite(chosen["stroke"])
     gaits = chosen["stroke"][known], chosen["frequency"][known]
-    shape = _shapes(chosen, known)
-    nominal = task.table(*gaits, shape=shape)
-    results["nominal_speed"] = _spread(nominal.speed, known)
-    results["nominal_power"] = _spread(nominal.power + task.held_power(*gaits, shape), known)
-    if "success" in study.compute:
+    nominal = task.table(*gaits)
+    further = {"nominal_speed": nominal.speed, "nominal_power": nominal.power}
+    if "success" in compute:
         required = chosen["grooves_per_cycle"][known]
-        samples, seed = study.resolution.samples, study.resolution.seed
-        for name, draw in (("", phase_known), ("_any_phase", phase_unknown)):
-            draws = draw(content, samples, seed)
-            share = success_probability(task, *gaits, required, draws, shape)
-            results[f"success_probability{name}"] = _spread(share, known)
-    return results
-
-
-def _shapes(chosen: Mapping[str, Array], known: np.ndarray) -> Shapes:
-    """Return the shapes of the chosen gaits for which ``known`` is True; in a study of sinusoids, the paper's shape."""
-    fields = {name: chosen[name][known] for name in SHAPE_ROW.names or () if name in chosen}
-    return shapes_of(int(np.count_nonzero(known)), **fields)
-
-
-def _spread(values: Array, known: np.ndarray) -> Array:
-    """Return an array with the values where ``known`` is True, and NaN elsewhere."""
-    spread = np.full(known.shape, np.nan)
-    spread[known] = values
-    return spread
-
-
-def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str, Array]:
-    """Return the quantities of the stored gaits of a front, padded with NaN to ``front_gaits`` rows."""
-    count = study.resolution.front_gaits
-    kept = front.take(thinned(front, parameters, count))
-    columns = _figures(study, kept, parameters)
-    del columns["cost_of_transport"]
-    return {
-        f"front_{name}": np.pad(
-            column.astype(float), (0, count - len(kept)), constant_values=np.nan
-        )
-        for name, column in columns.items()
-    }
+        for name, draw in zip(_SUCCESS, (phase_known, phase_unknown), strict=True):
+            draws = draw(content, resolution.samples, resolution.seed)
+            further[name] = success_probability(task, *gaits, required, draws)
+    for name, column in further.items():
+        chosen[name] = np.full(known.shape, np.nan)
+        chosen[name][known] = column
+    return results | chosen
 
 
 def _chosen(
     study: Study, given: Mapping[str, float], exact: ExactFront, parameters: Parameters
 ) -> dict[str, Array]:
-    """Return the quantities of the gaits of `gait_names`, one column per quantity; NaN if no gait meets a request."""
-    names = gait_names(study)
-    columns = {name: np.full(len(names), np.nan) for name in _of_gait(study)}
+    """Return the quantities of the gaits of a point, one column per quantity; NaN if no gait meets a request."""
+    columns = {name: np.full(len(dimensions(study)[GAIT]), np.nan) for name in _OF_GAIT}
     if not len(exact.front):
         return columns
-    costs: list[Cost] = [power_cost, transport_cost, speed_cost]
-    costs += [_COSTS[key](given[key]) for key in REQUESTS if key in given]
-    for place, cost in enumerate(costs):
+    requested = [cost(given[key]) for key, (_, cost) in _REQUESTED.items() if key in given]
+    for place, cost in enumerate((*_THREE.values(), *requested)):
         gait = exact.cheapest(cost)
-        for name, value in _figures(study, gait, parameters).items():
-            columns[name][place : place + 1] = value if len(gait) else np.nan
+        for name, column in _figures(gait, parameters).items():
+            if len(gait):
+                columns[name][place] = column[0]
     return columns
 
 
-def _figures(study: Study, points: Points, parameters: Parameters) -> dict[str, Array]:
-    """Return the quantities of gaits, by the names of `_of_gait`."""
-    shaped = study.waveform is Waveform.SHAPED
+def _figures(points: Points, parameters: Parameters) -> dict[str, Array]:
+    """Return the quantities of gaits, by the names of `_OF_GAIT`."""
     return {
-        **({name: points.shape[name] for name in _OF_SHAPE} if shaped else {}),
         **{name: getattr(points, name) for name in ("stroke", "frequency", "speed", "power")},
         "cost_of_transport": cost_of_transport(points.speed, points.power, parameters.mass),
         "grooves_per_cycle": points.grooves,

@@ -6,10 +6,9 @@ The file contains no time and no place of its computation: equal values result i
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +19,7 @@ from worm_model.checksum import versions_of
 from worm_model.errors import InputError
 from worm_model.parameters import format_parameter_file
 from worm_optimizer.code_version import PACKAGES, code_identity
-from worm_optimizer.evaluation.servo_limits import servo_model
-from worm_optimizer.study.blocks import (
-    ITEMS,
-    Block,
-    Counts,
-    Say,
-    Task,
-    Workers,
-    complete,
-    keys_of,
-    new_output,
-)
-from worm_optimizer.study.plan import PARAMETER_FILE, QUANTITIES, SAMPLE, Study
+from worm_optimizer.study.blocks import Block, Say, Workers, complete, write_whole
 from worm_optimizer.study.point import (
     DONE,
     FAILED,
@@ -43,9 +30,9 @@ from worm_optimizer.study.point import (
     dimensions,
     variables,
 )
+from worm_optimizer.study.study_file import PARAMETER_FILE, QUANTITIES, SAMPLE, Study
 
 STATE, REASON = "state", "reason"
-_HASH = "study_hash"  # attribute
 _OTHER_COORDINATES = {
     PARAMETER_FILE: ("1", "parameter file of the robot"),
     SAMPLE: ("1", "number of the sample"),
@@ -57,8 +44,8 @@ _OTHER_COORDINATES = {
 
 def run_study(
     study: Study, output: Path, workers: Workers, say: Say, progress: Callable[[float], None]
-) -> Counts:
-    """Compute a study into the NetCDF file ``output``, or check that the file contains its results already.
+) -> int:
+    """Compute a study into the new NetCDF file ``output``, and return the number of failed points.
 
     If this fails, the finished blocks remain in a folder next to the output, and calling it again computes the others.
 
@@ -70,41 +57,28 @@ def run_study(
         progress: function that is called with the finished share of the points, 0 to 1.
 
     Raises:
-        InputError: The output or the cluster cannot be used, or the output contains something else.
+        InputError: The output exists, its folder is missing, or the cluster cannot be used.
         LostError: The cluster was lost.
         OSError: The output cannot be written.
     """
-    if not output.exists():
-        task = Task(compute_block, study, study.points(), study.block_points, study.identity())
-        content = _dataset(study, complete(task, output, workers, say, progress))
-        with new_output(output) as part:
-            # not to a path, for which xarray takes a lock from Dask's last client, even if that one is closed
-            part.write_bytes(content.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
-    with _opened(output) as data:
-        if data.attrs.get(_HASH) != _hash(study):
-            raise InputError(
-                f"{output}: exists already, and contains something else or was computed by another version; "
-                "choose another name, nothing is overwritten"
-            )
-        failed = np.count_nonzero(data[STATE] == FAILED)
-    return Counts(study.size, study.size, int(failed))
-
-
-def _opened(output: Path) -> xarray.Dataset:
-    try:
-        return xarray.open_dataset(output, engine="scipy")
-    except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
+    if not output.parent.is_dir():
+        raise InputError(f"{output}: the folder {output.parent} does not exist; create it first")
+    if output.exists():
         raise InputError(
-            f"{output}: is no result of a study, or is damaged ({' '.join(str(error).split())}); "
-            "move it away and repeat the command, which writes it again from its blocks"
-        ) from None
+            f"{output}: exists already, and nothing is overwritten; choose another name, or move it away"
+        )
+    folder = output.with_name(f"{output.name}.blocks")
+    compute = partial(compute_block, study)
+    blocks = complete(compute, study.blocks(), study.identity(), folder, workers, say, progress)
+    results = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    content = _dataset(study, results).to_netcdf(engine="scipy", format="NETCDF3_64BIT")
+    # not to a path, for which xarray takes a lock from Dask's last client, even if that one is closed
+    write_whole(output, bytes(content))
+    return int(np.count_nonzero(results[STATE] == FAILED))
 
 
-def _dataset(study: Study, found: Sequence[Block]) -> xarray.Dataset:
-    """Return the results of a study with names, units and provenance."""
-    results = {name: np.concatenate([block[name] for block in found]) for name in found[0]}
-    rows = {key: row for row, key in enumerate(keys_of(results[ITEMS]))}
-    order = [rows[key] for key in keys_of(study.points())]
+def _dataset(study: Study, results: Block) -> xarray.Dataset:
+    """Return the results of a study, in the order of its points, with names, units and provenance."""
     flags = {"flag_values": np.array([DONE, FAILED], np.int8), "flag_meanings": "computed failed"}
     described: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         **{
@@ -116,26 +90,25 @@ def _dataset(study: Study, found: Sequence[Block]) -> xarray.Dataset:
     }
     data: dict[str, Any] = {}
     for name, (further, attributes) in described.items():
-        values = results[name][order]
-        shaped = values.reshape(*study.shape, *values.shape[1:])
-        if name == REASON:
-            shaped = shaped.astype(object)
-        data[name] = ((*study.dimensions, *further), shaped, attributes)
+        values = results[name].astype(object) if name == REASON else results[name]
+        shaped = values.reshape(*study.file.shape, *values.shape[1:])
+        data[name] = ((*study.file.dimensions, *further), shaped, attributes)
     used = {name for further, _ in described.values() for name in further}
     return xarray.Dataset(data, _coordinates(study, used), _provenance(study))
 
 
 def _coordinates(study: Study, used: set[str]) -> dict[str, Any]:
     """Return all coordinates: the points, the fixed quantities as scalars, and the further dimensions ``used``."""
-    names = np.array([name for name, _ in study.files], dtype=object)
+    file = study.file
+    names = np.array([name for name, _ in study.robots], dtype=object)
     values: dict[str, Any] = {PARAMETER_FILE: ((), names[0])}
-    values |= {name: ((), value) for name, value in study.fixed.items()}
-    values |= {name: (name, np.asarray(each)) for name, each in study.dimensions.items()}
-    if len(study.files) > 1:
+    values |= {name: ((), value) for name, value in file.fixed.items()}
+    values |= {name: (name, np.asarray(each)) for name, each in file.dimensions.items()}
+    if len(names) > 1:
         values[PARAMETER_FILE] = (PARAMETER_FILE, names)
-    samples = study.points()[: study.shape[-1]]
-    for axis in study.ranges:
-        values[axis.name] = (SAMPLE, samples[:, study.varied.index(axis.name)])
+    samples = study.points()[: file.shape[-1]]
+    for name in file.ranges:
+        values[name] = (SAMPLE, samples[:, study.varied.index(name)])
     for name, each in dimensions(study).items():
         if name in used:
             values[name] = (name, np.array(each, dtype=object if name == GAIT else None))
@@ -151,21 +124,12 @@ def _described(name: str) -> dict[str, str]:
 
 def _provenance(study: Study) -> dict[str, Any]:
     """Return the attributes of a result: everything that determines its numbers, but no time or place."""
-    driver, model = study.hardware.driver, servo_model(study.hardware.model)
-    files = {name: format_parameter_file(content) for name, content in study.files}
+    files = {name: format_parameter_file(content) for name, content in study.robots}
     return {
         "Conventions": "CF-1.11",
-        "title": study.title,
+        "title": study.file.title,
         "study": study.text,
         "parameter_files": json.dumps(files),
-        **({"driver": json.dumps(asdict(driver))} if driver else {}),
-        **({"servo_model": json.dumps(asdict(model))} if model else {}),
-        _HASH: _hash(study),
         "code": code_identity(),
         "versions": json.dumps(versions_of(PACKAGES)),
     }
-
-
-def _hash(study: Study) -> str:
-    """Return a hash of a study with its points and the code."""
-    return hashlib.sha256(study.identity().encode() + study.points().tobytes()).hexdigest()[:24]

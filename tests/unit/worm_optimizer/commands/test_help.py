@@ -35,7 +35,7 @@ COMMANDS = {
     "worm_model.nodes": ("play_node", "record_node"),
     "worm_optimizer.commands": (
         *("campaign", "capability", "console", "demo", "operate", "optimize", "report", "request"),
-        *("scan_margin", "sensitivity", "start", "study", "tune"),
+        *("scan_margin", "start", "study", "tune"),
     ),
 }
 

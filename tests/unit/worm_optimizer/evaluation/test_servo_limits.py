@@ -8,21 +8,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from worm_driver.servos import registers
-from worm_driver.virtual_robot.servo import control_table
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
-from worm_msgs.driver_file import DriverFile
-from worm_msgs.servo_models import RPM
+from worm_msgs.driver_file import DriverFile, read_driver_file
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
-from worm_optimizer.evaluation.servo_limits import (
-    limits_of,
-    load_driver_file,
-    servo_model,
-    servo_models,
-    within,
-)
+from worm_optimizer.evaluation.servo_limits import limits_of, servo_model, within
 from worm_optimizer.evaluation.task import Bounds
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -40,7 +31,7 @@ def driver_file(tmp_path):
 
 
 def test_the_defaults_are_those_of_the_driver(driver_file):
-    assert load_driver_file(DRIVER_FILE) == load_driver_file(driver_file(port="/dev/x"))
+    assert read_driver_file(DRIVER_FILE) == read_driver_file(driver_file(port=DriverFile.port))
     driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
     for row in dataclasses.fields(DriverFile):
         value = driver
@@ -51,32 +42,15 @@ def test_the_defaults_are_those_of_the_driver(driver_file):
 
 def test_a_misspelt_name_is_rejected_and_names_of_ros_are_accepted(driver_file):
     with pytest.raises(InputError, match=r"did you mean limits\.max_stroke_m\?") as reported:
-        load_driver_file(driver_file(limits={"max_strok_m": 0.05}))
+        read_driver_file(driver_file(limits={"max_strok_m": 0.05}))
     assert "max_strok_m'" in str(reported.value)
     ros = {"use_sim_time": False, "qos_overrides": {"/tf.publisher.depth": 5}}
-    assert load_driver_file(driver_file(**ros)) == load_driver_file(DRIVER_FILE)
-
-
-def test_the_models_are_those_of_the_driver():
-    known = {model.name.removesuffix("-T"): model for model in registers.MODELS.values()}
-    assert set(servo_models()) == set(known) == set(control_table.MODELS)
-    for name, model in servo_models().items():
-        virtual = control_table.MODELS[name]
-        assert model.voltage == virtual.nominal_voltage
-        assert model.no_load_speed == pytest.approx(virtual.no_load_speed * RPM, rel=2e-3)
-        assert model.stall_torque == virtual.stall_torque
-        assert model.stall_current == virtual.stall_current
-        limit = virtual.registers["velocity_limit"].initial * 0.0239691227
-        assert model.velocity_limit == pytest.approx(limit, rel=2e-3)
-        assert model.measures_current == known[name].measures_current
-        if model.measures_current:
-            constant = model.stall_torque / model.stall_current
-            assert known[name].torque_constant == pytest.approx(constant)
+    assert read_driver_file(driver_file(**ros)) == read_driver_file(DRIVER_FILE)
 
 
 def test_an_xm430_on_the_drivers_spool():
     """Computed manually: 45.8 rpm and 4.1 N·m · 2.0 A/2.3 A on a spool of 25 mm; 3.2 A at 12 V."""
-    limits = limits_of(load_driver_file(DRIVER_FILE), servo_model("XM430-W350"), None)
+    limits = limits_of(read_driver_file(DRIVER_FILE), servo_model("XM430-W350"), None)
     assert limits.cable_speed == pytest.approx(0.025 * 45.8 * 2 * math.pi / 60)
     assert limits.cable_force == pytest.approx(4.1 * 2.0 / 2.3 / 0.025)
     assert limits.electrical_power == pytest.approx(38.4)
@@ -85,7 +59,7 @@ def test_an_xm430_on_the_drivers_spool():
 
 
 def test_a_weaker_supply_means_less_speed_and_torque():
-    driver, model = load_driver_file(DRIVER_FILE), servo_model("XM430-W350")
+    driver, model = read_driver_file(DRIVER_FILE), servo_model("XM430-W350")
     full, weak = limits_of(driver, model, None), limits_of(driver, model, 10.0)
     assert weak.no_load_speed == pytest.approx(full.no_load_speed * 10.0 / 12.0)
     assert weak.cable_speed == weak.no_load_speed  # now below the limit in the servo
@@ -96,7 +70,7 @@ def test_a_weaker_supply_means_less_speed_and_torque():
 
 def test_two_cables_pull_together_and_the_slimmer_spool_is_the_slower(driver_file):
     radii = [0.02, 0.025]
-    two = load_driver_file(driver_file(cable_servos={"ids": [1, 2], "spool_radius_m": radii}))
+    two = read_driver_file(driver_file(cable_servos={"ids": [1, 2], "spool_radius_m": radii}))
     limits = limits_of(two, servo_model("XL430-W250"), None)
     # a ratio: this servo measures no current
     assert limits.cable_force == pytest.approx(2 * 0.9 * 1.5 / 0.025)
@@ -105,10 +79,12 @@ def test_two_cables_pull_together_and_the_slimmer_spool_is_the_slower(driver_fil
 
 
 def test_the_range_of_the_sensor_is_that_of_its_shunt_or_none(driver_file):
-    coarse = load_driver_file(driver_file(**{"ina219.shunt_resistance_ohm": 0.2}))
-    assert coarse.sensor_current == pytest.approx(1.6)
-    assert load_driver_file(driver_file(i2c_bus="")).sensor_current == math.inf
-    assert load_driver_file(driver_file(i2c_bus="none")).sensor_current == math.inf
+    def power(**parameters) -> float:
+        return limits_of(read_driver_file(driver_file(**parameters)), None, 10.0).electrical_power
+
+    assert power(**{"ina219.shunt_resistance_ohm": 0.2}) == pytest.approx(16.0)
+    assert power(i2c_bus="") == math.inf
+    assert power(i2c_bus="none") == math.inf
 
 
 def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(driver_file):
@@ -139,7 +115,7 @@ def test_an_invalid_file_is_rejected_with_its_path(tmp_path, content, expected):
     path = tmp_path / "driver.yaml"
     path.write_text(content)
     with pytest.raises(InputError, match=expected) as reported:
-        load_driver_file(path)
+        read_driver_file(path)
     assert str(reported.value).startswith(str(path))
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import math
 
 import pytest
-from gaits_for_tests import QUICK, made_up, small_front
+from gaits_for_tests import QUICK
 
 from worm_model.errors import InputError
 from worm_msgs.action import OptimizeGaits, ScanMargin
@@ -23,15 +23,6 @@ GAIT_FIELDS = set(Gait.get_fields_and_field_types())
 def test_every_field_of_the_message_is_a_field_of_the_prediction():
     of_message = set(GaitPrediction.get_fields_and_field_types()) - {"gait"} | GAIT_FIELDS
     assert of_message == {row.name for row in dataclasses.fields(Prediction)}
-
-
-def test_speeds_are_along_the_gaits_direction_in_the_message():
-    forward, reverse = made_up(0.005, 2.6), made_up(0.005, 2.6, direction=-1)
-    assert optimizer_messages.prediction_message(forward).speed == 0.005
-    message = optimizer_messages.prediction_message(reverse)
-    assert (message.speed, message.nominal_speed) == (0.005, 0.005)
-    assert message.cost_of_transport > 0.0
-    assert message.gait.direction == Gait.REVERSE
 
 
 def test_objectives_and_statuses_have_the_numbers_of_the_message():
@@ -85,18 +76,6 @@ def test_a_scans_margins_are_the_goals_or_the_defaults():
     assert given.scan.margins().tolist() == [0.0, 5e-4, 1e-3, 1.5e-3, 2e-3]
     with pytest.raises(InputError, match="scan:"):
         optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(lowest=math.nan))
-
-
-def test_the_result_of_an_optimisation():
-    front = small_front()
-    message = optimizer_messages.optimize_result(front)
-    assert message.success
-    assert message.margin == 0.0034
-    assert [gait.speed for gait in message.front] == [gait.speed for gait in front.gaits]
-    assert math.isnan(message.front[0].success_probability)
-    assert message.min_power.power == front.three["min_power"].power
-    assert message.cruise.success_probability == front.three["cruise"].success_probability
-    assert message.max_speed.power == front.three["max_speed"].power
 
 
 def test_the_result_of_a_scan():

@@ -106,20 +106,15 @@ def test_the_known_phase_is_held_whatever_the_pitch():
     assert phases_of(scenarios) == pytest.approx(np.full(200, groove_phase(PAPER)), abs=1e-12)
 
 
-def test_an_interval_of_the_initial_length_is_one_of_the_phase():
-    file = ParameterFile(travel_error=EXACT, intervals={"initial_length": (0.2950, 0.2954)})
-    spread = phases_of(uncertainty.phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
-    assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-2e-4, 2e-4], abs=2e-5)
-
-
-def test_the_next_run_has_a_phase_of_its_own():
+@pytest.mark.parametrize(("half", "scatter", "reach"), [(2e-4, 0.0, 2e-4), (3e-4, 4e-4, 5e-4)])
+def test_an_interval_of_the_initial_length_is_one_of_the_phase(half, scatter, reach):
     """The interval is that of the mean. The deviation of one run is added: 0.3 mm and 0.4 mm are 0.5 mm."""
-    sigma = 4e-4 / 1.959963984540054
     file = ParameterFile(
-        intervals={"initial_length": (0.2949, 0.2955)}, run_to_run={"initial_length": sigma}
+        intervals={"initial_length": (PAPER.initial_length - half, PAPER.initial_length + half)},
+        run_to_run={"initial_length": scatter / 1.959963984540054},
     )
     spread = phases_of(uncertainty.phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
-    assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-5e-4, 5e-4], abs=4e-5)
+    assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-reach, reach], abs=4e-5)
 
 
 def test_draws_correlate_as_in_the_file_and_keep_their_widths():

@@ -109,24 +109,24 @@ def test_a_gait_that_needs_a_pushing_cable_is_a_warning():
 
 @pytest.mark.parametrize("margin", [None, 2e-3])
 @pytest.mark.parametrize(
-    ("limits", "name"),
+    ("limits", "slowest", "name"),
     [
-        (ActuatorLimits(cable_speed=0.005), "cable_speed"),
-        (ActuatorLimits(cable_force=10.0, electrical_power=100.0), "cable_force"),
-        (ActuatorLimits(cable_force=500.0, electrical_power=1.0), "electrical_power"),
-        (ActuatorLimits(stall_force=10.0, no_load_speed=0.1), "stall_force and no_load_speed"),
+        (ActuatorLimits(cable_speed=0.005), 0.08, "cable_speed"),
+        (ActuatorLimits(cable_force=10.0, electrical_power=100.0), 0.08, "cable_force"),
+        (ActuatorLimits(cable_force=500.0, electrical_power=1.0), 0.08, "electrical_power"),
+        (
+            ActuatorLimits(stall_force=10.0, no_load_speed=0.1),
+            0.08,
+            "stall_force and no_load_speed",
+        ),
+        (ActuatorLimits(pushing_force=0.1), 0.2, "pushing_force"),
     ],
 )
-def test_the_limit_that_excludes_all_gaits_is_named(margin, limits, name):
+def test_the_limit_that_excludes_all_gaits_is_named(margin, limits, slowest, name):
+    bounds = Bounds(frequency_low=slowest)
+    settings = dataclasses.replace(QUICK, margin=margin, limits=limits, bounds=bounds)
     with pytest.raises(InputError, match=f"limits: {name} excludes"):
-        make_front(FILE, dataclasses.replace(QUICK, margin=margin, limits=limits), 1)
-
-
-def test_where_every_fast_gait_pushes_the_pushing_force_is_named():
-    limits, bounds = ActuatorLimits(pushing_force=0.1), Bounds(frequency_low=0.2)
-    fast = dataclasses.replace(QUICK, margin=2e-3, limits=limits, bounds=bounds)
-    with pytest.raises(InputError, match="limits: pushing_force excludes"):
-        make_front(FILE, fast, 1)
+        make_front(FILE, settings, 1)
 
 
 @pytest.mark.parametrize("kind", list(Robustness))

@@ -36,17 +36,6 @@ def at_power(power: float):
     return select(FRONT, GaitRequest(Objective.MAX_SPEED_AT_POWER, power))
 
 
-def test_the_three_gaits_are_the_best_of_the_front():
-    for objective, key, sign in (
-        (Objective.MIN_POWER, "power", 1),
-        (Objective.CRUISE, "cost_of_transport", 1),
-        (Objective.MAX_SPEED, "speed", -1),
-    ):
-        gait = select(FRONT, GaitRequest(objective)).prediction
-        best = min(sign * getattr(each, key) for each in FRONT.gaits)
-        assert sign * getattr(gait, key) == pytest.approx(best, rel=1e-12)
-
-
 def test_the_issues_request_is_exact():
     gait = at_speed(0.004).prediction
     assert abs(gait.speed - 0.004) < 1e-8
@@ -72,10 +61,6 @@ def test_the_highest_speed_at_a_sufficient_power(power):
     assert answer.prediction.power <= power * (1.0 + 1e-9)
     affordable = [gait.speed for gait in FRONT.gaits if gait.power <= power]
     assert answer.prediction.speed >= max(affordable) * (1.0 - 1e-9)
-
-
-def test_a_speed_of_zero_requests_the_lowest_power():
-    assert at_speed(0.0).prediction.power == pytest.approx(SLOWEST.power, rel=1e-9)
 
 
 def test_the_unreachable_is_rejected_with_the_nearest():

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from gaits_for_tests import COARSE, QUICK, coarse_front
+from gaits_for_tests import QUICK, coarse_front
 
 from worm_model.errors import InputError
 from worm_model.gait import Gait
@@ -18,26 +18,10 @@ from worm_msgs.conditions import Conditions
 from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.robustness.uncertainty import phase_known
 from worm_optimizer.search.capability import capabilities, curve, strongest
-from worm_optimizer.search.exact import Zoom, exact_front
 from worm_optimizer.search.front import make_front
 from worm_optimizer.search.search_settings import settings_of
 
 UPHILL = under(Conditions(slope_deg=20.0, tether_n=2.0), PAPER)
-
-
-def test_no_gait_of_a_dense_grid_is_cheaper_under_a_load():
-    task = MarginTask(UPHILL, margin=1e-3)
-    front = exact_front(task, COARSE, Zoom()).front
-    strokes, frequencies = np.meshgrid(np.linspace(0.01, 0.09, 401), np.linspace(0.08, 0.4, 17))
-    points = task.points(strokes.ravel(), frequencies.ravel())
-    grid = points.take(points.admissible)
-    speed = front.count * front.frequency
-    best = [
-        grid.power[grid.count * grid.frequency >= least * (1.0 - 1e-9)].min(initial=np.inf)
-        for least in speed
-    ]
-    assert len(front) > 5
-    assert np.all(front.power <= np.array(best) * (1.0 + 2e-5))
 
 
 def test_forward_and_reverse_differ_under_a_load():

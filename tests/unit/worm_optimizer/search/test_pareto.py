@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front and its area, compared with brute force and with pymoo."""
+"""The front, compared with brute force."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pymoo.indicators.hv import HV
 
 from worm_optimizer.evaluation.task import Points
-from worm_optimizer.search.pareto import front_of, hypervolume, non_dominated
+from worm_optimizer.search.pareto import front_of, non_dominated
 
 # Few distinct values, so that ties in one or both objectives are common.
 SPEEDS = st.integers(0, 8).map(lambda k: 1e-3 * k)
@@ -38,19 +36,6 @@ def test_the_front_is_what_nothing_betters(rows):
     assert kept == sorted(kept)
 
 
-@given(CLOUDS)
-def test_hypervolume_equals_pymoos(rows):
-    front = front_of(cloud(rows))
-    expected = HV(ref_point=np.array([0.0, 7.5]))(np.array([[-v, p] for v, p in rows]))
-    assert hypervolume(front, 7.5) == pytest.approx(float(expected), abs=1e-12)
-
-
 def test_gaits_that_violate_a_constraint_are_not_on_the_front():
     front = front_of(cloud([(0.001, 1.0), (0.009, 0.5), (0.002, 2.0)], violation=[0.0, 1.0, 0.0]))
     assert front.speed.tolist() == [0.001, 0.002]
-
-
-def test_an_empty_front_has_no_area():
-    front = front_of(cloud([(0.001, 1.0)], violation=[1.0]))
-    assert len(front) == 0
-    assert hypervolume(front, 5.0) == 0.0

@@ -11,9 +11,9 @@ from gaits_for_tests import COARSE
 from worm_model.errors import InputError
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
-from worm_model.simulation.simulator import cost_of_transport, evaluate_gait, simulate
+from worm_model.simulation.simulator import cost_of_transport, evaluate_gait
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.evaluation.command_shape import SHAPE_ROW, SINUSOID, peak_rates, shapes_of
+from worm_optimizer.evaluation.command_shape import SHAPE_ROW, shapes_of
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
 from worm_optimizer.search.exact import ExactFront, Zoom, exact_front
@@ -77,15 +77,8 @@ def test_every_gait_gains_its_grooves_when_it_is_evaluated_again():
     front = shaped_front(3.4e-3).front
     for row in range(0, len(front), 7):
         fields = {name: float(front.shape[name][row]) for name in SHAPE_ROW.names}
-        profile = Profile(int(fields.pop("profile")))
-        gait = Gait(
-            float(front.stroke[row]),
-            float(front.frequency[row]),
-            1,
-            3.4e-3,
-            profile=profile,
-            **fields,
-        )
+        fields["profile"] = Profile(int(fields["profile"]))
+        gait = Gait(float(front.stroke[row]), float(front.frequency[row]), 1, 3.4e-3, **fields)
         again = evaluate_gait(gait)
         assert again.grooves_per_cycle == pytest.approx(front.grooves[row], abs=1e-3)
         assert again.power == pytest.approx(front.power[row], rel=1e-9)
@@ -120,20 +113,6 @@ def test_ramps_too_short_for_any_pretension_become_as_long_as_needed():
     assert np.all(task.points(found.stroke, found.frequency, shorter).count < 6)
 
 
-@pytest.mark.night
-def test_limits_hold_for_every_gait_of_the_front():
-    limits = ActuatorLimits(cable_speed=0.05, cable_force=60.0, electrical_power=5.0)
-    task = MarginTask(limits=limits)
-    front = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
-    peak = peaks(front.stroke, front.frequency, 1, PAPER, limits, front.shape)
-    assert len(front) > 3
-    assert np.all(peak_rates(front.shape) * front.stroke * front.frequency <= 0.05 * (1.0 + 1e-9))
-    assert np.all(peak.force <= 60.0)
-    assert np.all(peak.power <= 5.0)
-    within = random_gaits(task, 5_000, 2)
-    assert largest_excess(front, within) < 5e-3
-
-
 def test_a_limit_of_the_pushing_force_bounds_the_contraction_share_at_every_frequency():
     """Shares beyond the limit between two searched frequencies would leave gaps in the front."""
     robot, limits = PAPER.replace(one_sided_cable=True), ActuatorLimits(pushing_force=20.0)
@@ -149,15 +128,6 @@ def test_a_limit_of_the_pushing_force_bounds_the_contraction_share_at_every_freq
     assert np.unique(two.frequency).tolist() == frequency.tolist()
     within = random_gaits(task, 20_000, 3)
     assert largest_excess(front, within) < ACCEPTED
-
-
-def test_the_mean_force_does_not_depend_on_the_samples():
-    shape = np.broadcast_to(SINUSOID, 1).copy()
-    shape["profile"], shape["contraction_share"] = Profile.TRAPEZOID, 0.8
-    mean = peaks(np.array([0.06]), np.array([0.1]), 1, PAPER, shape=shape).mean_force
-    gait = Gait(0.06, 0.1, contraction_share=0.8, profile=Profile.TRAPEZOID)
-    pull = simulate(gait).at(gait.period * (2.0 + np.arange(20_000) / 20_000)).cable_force
-    assert mean == pytest.approx(np.maximum(pull, 0.0).mean(), rel=2e-3)
 
 
 def test_the_corner_of_the_papers_shape_is_the_papers_edge():
@@ -189,17 +159,6 @@ def test_where_the_longest_swing_loses_a_groove_the_papers_gait_is_not_cheaper()
     assert np.all(found.power <= paper.points.power * (1.0 + ACCEPTED))
     edges = shaped.edges(frequency, scan, np.array([6]))
     assert edges.points.power.min() <= paper.points.power[0] * (1.0 + ACCEPTED)
-
-
-def test_a_holding_power_makes_pretension_dearer():
-    task = MarginTask(holding_power=0.05)
-    front = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
-    free = shaped_front(0.0).front
-    pull = peaks(free.stroke, free.frequency, 1, PAPER, shape=free.shape).mean_force
-    assert np.all(pull > 0.0)
-    assert front.power.min() > free.power.min()
-    again = MarginTask().points(front.stroke, front.frequency, front.shape)
-    assert np.all(front.power > again.power)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import dask
@@ -16,80 +17,76 @@ import numpy as np
 import pytest
 from distributed import Client, LocalCluster
 from waiting import wait_for
-from worker_jobs import double, murder, reject, suicide
+from worker_jobs import double, murder, suicide
 
 from worm_model.errors import InputError
-from worm_optimizer.study.blocks import ITEMS, LostError, Task, Workers, complete
+from worm_optimizer.study.blocks import LostError, Workers, complete
 
 ROOT = Path(__file__).resolve().parents[4]
 pytestmark = pytest.mark.timeout(300)
 NONE = Workers("tcp://127.0.0.1:1")  # no workers: nothing may be left to compute
 
 
-def task(function=double, common: object = None, items: int = 6, identity: str = "1") -> Task:
-    return Task(function, common, np.arange(float(items)).reshape(-1, 1), 2, identity)
+def found(
+    folder: Path,
+    workers: Workers = NONE,
+    function=double,
+    count: int = 3,
+    identity: str = "1",
+    say=print,
+    progress=lambda done: None,
+) -> list[list[float]]:
+    """Compute the double of two numbers in each of some blocks."""
+    pieces = list(np.arange(2.0 * count).reshape(count, 2))
+    blocks = complete(function, pieces, identity, folder / "blocks", workers, say, progress)
+    return [block["double"].tolist() for block in blocks]
 
 
-def found(task: Task, output: Path, workers: Workers, say=print) -> dict[float, float]:
-    """Return the results by item."""
-    return {
-        item: value
-        for block in complete(task, output, workers, say, lambda done: None)
-        for item, value in zip(block[ITEMS][:, 0].tolist(), block["double"].tolist(), strict=True)
-    }
-
-
-def doubled(items: int) -> dict[float, float]:
-    return {float(k): 2.0 * k for k in range(items)}
+def doubled(count: int = 3) -> list[list[float]]:
+    return [[4.0 * k, 4.0 * k + 2.0] for k in range(count)]
 
 
 def test_blocks_are_computed_once(tmp_path, here):
-    output = tmp_path / "out.nc"
-    assert found(task(), output, NONE) == doubled(6)
+    assert found(tmp_path) == doubled()
     assert here.pieces == 3
-    assert found(task(), output, NONE) == doubled(6)
+    assert found(tmp_path) == doubled()
     assert here.pieces == 3
-    assert found(task(items=9), output, NONE) == doubled(9)  # more items: only these
+    assert found(tmp_path, count=5) == doubled(5)  # more blocks: only these
     assert here.pieces == 5
 
 
-def files_of(output: Path) -> list[Path]:
-    return sorted(output.with_name(f"{output.name}.blocks").glob("*.npz"))
+def files_of(folder: Path) -> list[Path]:
+    return sorted((folder / "blocks").glob("*.block"))
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_deleted_a_cut_and_a_changed_block_are_computed_again(tmp_path, here, seed):
-    output, said = tmp_path / "out.nc", []
-    found(task(), output, NONE)
-    deleted, cut, changed = files_of(output)
+    said: list[str] = []
+    found(tmp_path)
+    deleted, cut, changed = files_of(tmp_path)
     draw = random.Random(seed)
     deleted.unlink()
     data = bytearray(changed.read_bytes())
     cut.write_bytes(cut.read_bytes()[: draw.randrange(len(data))])
     data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
     changed.write_bytes(data)
-    assert found(task(), output, NONE, said.append) == doubled(6)
+    assert found(tmp_path, say=said.append) == doubled()
     assert here.pieces == 6
-    assert any("damaged blocks: 2" in line for line in said)
+    assert sum("is damaged" in line for line in said) == 2
 
 
 def test_blocks_of_another_version_are_not_used(tmp_path, here):
-    output, said = tmp_path / "out.nc", []
-    found(task(identity="1"), output, NONE)
-    found(task(identity="2"), output, NONE, said.append)
+    said: list[str] = []
+    found(tmp_path, identity="1")
+    found(tmp_path, identity="2", say=said.append)
     assert here.pieces == 6
     assert any("another computation or version: 3" in line for line in said)
 
 
 def test_what_a_killed_worker_had_is_done_by_another(cluster, tmp_path):
-    work = task(suicide, str(tmp_path / "killed"))
-    assert found(work, tmp_path / "out.nc", Workers(cluster.scheduler_address)) == doubled(6)
+    work = partial(suicide, str(tmp_path / "killed"))
+    assert found(tmp_path, Workers(cluster.scheduler_address), work) == doubled()
     assert (tmp_path / "killed").exists()
-
-
-def test_an_error_of_the_work_is_passed_on(cluster, tmp_path):
-    with pytest.raises(ValueError, match="piece"):
-        found(task(reject), tmp_path / "out.nc", Workers(cluster.scheduler_address))
 
 
 @contextlib.contextmanager
@@ -109,7 +106,7 @@ def process(name: str, *arguments: str, cwd: Path, path: str) -> Iterator[subpro
 
 @pytest.mark.night
 def test_a_killed_scheduler_is_reported_and_its_blocks_remain(tmp_path, cluster):
-    output, file = tmp_path / "out.nc", tmp_path / "s.json"
+    file = tmp_path / "s.json"
     path = os.pathsep.join([os.environ["PYTHONPATH"], str(ROOT / "tests/helpers")])
     with process(
         "dask_scheduler", "--port", "0", "--scheduler-file", str(file), cwd=tmp_path, path=path
@@ -125,11 +122,11 @@ def test_a_killed_scheduler_is_reported_and_its_blocks_remain(tmp_path, cluster)
             process(
                 *("dask_worker", address, "--no-nanny", "--nthreads", "1"), cwd=tmp_path, path=path
             ),
-            pytest.raises(LostError, match=r"of 40 are finished, in .*repeat the command"),
+            pytest.raises(LostError, match=r"of 20 blocks are finished, in .*repeat the command"),
         ):
-            complete(task(items=40), output, Workers(address), print, kill_after_the_first)
-    assert 1 <= len(files_of(output)) < 20
-    assert found(task(items=40), output, Workers(cluster.scheduler_address)) == doubled(40)
+            found(tmp_path, Workers(address), count=20, progress=kill_after_the_first)
+    assert 1 <= len(files_of(tmp_path)) < 20
+    assert found(tmp_path, Workers(cluster.scheduler_address), count=20) == doubled(20)
 
 
 @contextlib.contextmanager
@@ -150,35 +147,21 @@ def foreign_worker(folder: Path, *packages: str) -> Iterator[str]:
 
 
 @pytest.mark.night
-def test_a_worker_of_another_version_is_rejected_by_name(tmp_path):
-    package = tmp_path / "worm_optimizer"
-    shutil.copytree(ROOT / "src/worm_optimizer/worm_optimizer", package)
-    with (package / "study/point.py").open("a") as file:
-        file.write("\n# another version\n")
-    shutil.copy(ROOT / "tests/helpers/worker_jobs.py", tmp_path)
-    with (
-        foreign_worker(tmp_path, "worm_model", "worm_msgs") as address,
-        pytest.raises(InputError, match=r"worker tcp.*another version"),
-    ):
-        found(task(), tmp_path / "out.nc", Workers(address))
-
-
-@pytest.mark.night
 def test_a_block_that_kills_each_worker_is_one_line(tmp_path):
-    with pytest.raises(LostError, match=r"have died.*0 of 6 are finished"):
-        found(task(murder), tmp_path / "out.nc", Workers(number=1))
+    with pytest.raises(LostError, match=r"are lost.*0 of 3 blocks are finished"):
+        found(tmp_path, Workers(number=1), murder)
 
 
 def test_no_scheduler_and_no_workers_are_one_line(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no Dask scheduler"):
-        found(task(), tmp_path / "out.nc", NONE)
+        found(tmp_path)
     (tmp_path / "broken.py").write_text("raise RuntimeError('broken on purpose')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with (
         dask.config.set({"distributed.worker.preload": ["broken"]}),
         pytest.raises(InputError, match="--workers") as raised,
     ):
-        found(task(), tmp_path / "out.nc", Workers(number=1))
+        found(tmp_path, Workers(number=1))
     assert "\n" not in str(raised.value)
 
 
@@ -187,6 +170,6 @@ def test_a_worker_without_the_package_is_rejected_by_name_at_once(tmp_path):
     shutil.copy(ROOT / "tests/helpers/worker_jobs.py", tmp_path)
     with (
         foreign_worker(tmp_path, "worm_model", "worm_msgs") as address,
-        pytest.raises(InputError, match=r"worker tcp.*cannot import worm_optimizer"),
+        pytest.raises(InputError, match=r"worker tcp.*No module named"),
     ):
-        found(task(), tmp_path / "out.nc", Workers(address))
+        found(tmp_path, Workers(address))

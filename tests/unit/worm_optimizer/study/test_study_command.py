@@ -15,8 +15,7 @@ from waiting import wait_for
 
 from worm_model.parameters import KEYS as KEYS_OF_ROBOT
 from worm_optimizer.commands import study as command
-from worm_optimizer.study.plan import COMPUTABLE, QUANTITIES
-from worm_optimizer.study.study_file import StudyFile, load_study
+from worm_optimizer.study.study_file import COMPUTABLE, QUANTITIES, StudyFile, load_study
 
 _NAMES = {row.name for row in dataclasses.fields(StudyFile)}
 ROOT = Path(__file__).resolve().parents[4]
@@ -33,7 +32,7 @@ def test_a_killed_study_continues_with_the_same_values(tmp_path, run, cluster):
     killed = subprocess.Popen(
         [sys.executable, "-c", COMMAND, *arguments], stderr=subprocess.DEVNULL
     )
-    wait_for(lambda: [*tmp_path.glob("s.nc.blocks/*.npz")] or killed.poll() is not None)
+    wait_for(lambda: [*tmp_path.glob("s.nc.blocks/*.block")] or killed.poll() is not None)
     os.kill(killed.pid, signal.SIGKILL)
     killed.wait()
     status, out, _ = run(command, *arguments)
@@ -51,15 +50,12 @@ def test_a_study_on_this_machine(tmp_path, run):
     assert status == 0
     assert json.loads(out) == {"points": 6, "done": 6, "failed": 3, "output": str(output)}
     assert "100%" in err
-    written = output.read_bytes()
-    assert run(command, *arguments)[:2] == (0, out)  # nothing is left to compute
-    assert output.read_bytes() == written
 
 
 def test_the_examples_are_studies():
     files = sorted((ROOT / "examples").glob("*.yaml"))
     assert files
-    assert all(load_study(file).size >= 2 for file in files)
+    assert all(load_study(file).file.size >= 2 for file in files)
 
 
 def test_the_page_of_studies_names_every_key():

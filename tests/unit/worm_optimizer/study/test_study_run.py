@@ -7,19 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-import yaml
-from study_cases import SMALL, Here
+from study_cases import SMALL, Here, small_study
 
 from worm_model.errors import InputError
-from worm_optimizer.study.blocks import Counts, Workers
+from worm_optimizer.study.blocks import Workers
 from worm_optimizer.study.point import compute_block
-from worm_optimizer.study.study_file import parse_study
 from worm_optimizer.study.study_run import run_study
 
-STUDY = parse_study(SMALL, Path())
+STUDY = small_study()
 
 
-def finish(output: Path, study=STUDY) -> Counts:
+def finish(output: Path, study=STUDY) -> int:
     return run_study(study, output, Workers(), print, lambda done: None)
 
 
@@ -28,7 +26,7 @@ def output(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("results") / "study.nc"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("worm_optimizer.study.blocks._computed", Here())
-        assert finish(path) == Counts(6, 6, 3)
+        assert finish(path) == 3
     return path
 
 
@@ -42,29 +40,27 @@ def test_a_study_killed_after_each_block_has_the_same_bytes(output, tmp_path, he
     here.most = 6
     finish(path)
     assert path.read_bytes() == output.read_bytes()
-    (path.parent / "study.nc.blocks").rename(tmp_path / "gone")
-    finish(path)  # Nothing is left to compute.
+    with pytest.raises(InputError, match="nothing is overwritten"):
+        finish(path)
+    path.unlink()
+    finish(path)  # from its blocks
     assert here.pieces == 6
 
 
 def test_more_samples_continue_a_study(tmp_path, here):
     def study(points: int):
-        content = yaml.safe_load(SMALL.replace("[front, gaits]", "[front]"))
-        content["vary"] = {"slack": {"range": [0.004, 0.012]}, "direction": [1, -1]}
-        content["sample"] = {"points": points}
-        return parse_study(yaml.safe_dump(content), Path())
+        vary = {"slack": {"range": [0.004, 0.012]}, "direction": [1, -1]}
+        return small_study(compute=["front"], vary=vary, sample={"points": points})
 
     path = tmp_path / "study.nc"
     finish(path, study(3))
-    first = xarray.load_dataset(path)["hypervolume"]
+    first = xarray.load_dataset(path)["front_power"]
     assert (here.pieces, first.sizes["sample"]) == (6, 3)
-    with pytest.raises(InputError, match="nothing is overwritten"):
-        finish(path, study(5))
     path.rename(tmp_path / "three.nc")
     finish(path, study(5))
     assert here.pieces == 10
     more = xarray.load_dataset(path)
-    assert np.array_equal(more["hypervolume"][:, :3], first, equal_nan=True)
+    assert np.array_equal(more["front_power"][:, :3], first, equal_nan=True)
     assert np.all(more["state"] == 1)
 
 
@@ -90,29 +86,3 @@ def test_the_result_opens_with_names_units_and_provenance(output):
         one = compute_block(STUDY, STUDY.points()[1:2])
         front = data["front_power"].sel(slack=0.004, switching_threshold=0.0175)
         assert np.array_equal(front, one["front_power"][0], equal_nan=True)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.99])
-def test_a_cut_result_is_reported_and_written_again_from_its_blocks(tmp_path, here, share):
-    path = tmp_path / "study.nc"
-    finish(path)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(InputError, match=r"study\.nc: .*move it away and repeat"):
-        finish(path)
-    path.unlink()
-    finish(path)
-    assert path.read_bytes() == whole
-    assert here.pieces == 6
-
-
-def test_other_files_are_left_alone(output, tmp_path):
-    notes = tmp_path / "notes.txt"
-    notes.write_text("mine")
-    with pytest.raises(InputError, match="is no result of a study"):
-        finish(notes)
-    assert notes.read_text() == "mine"
-    with pytest.raises(InputError, match="nothing is overwritten"):
-        finish(output, parse_study(SMALL.replace("0.012", "0.011"), Path()))
-    with pytest.raises(InputError, match="does not exist"):
-        finish(tmp_path / "no" / "a.nc")
