@@ -10,8 +10,9 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ from worm_optimizer.commands.report import add_identification
 from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
 from worm_optimizer.commands.start import add_robot, robot_of
 from worm_optimizer.commands.tune import PROBABILITY
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.system import Robot
@@ -40,13 +41,10 @@ from worm_optimizer.robot_commands import GaitCommand
 if TYPE_CHECKING:
     from worm_model.gait import Gait
     from worm_optimizer.gait_prediction import Prediction
-    from worm_optimizer.operation.campaign_plan import Plan, Spread
     from worm_optimizer.operation.campaign_runs import Measure, Prepare
     from worm_optimizer.report.recorded_gait import RecordedGait
 
 _MODES = ("virtual", "robot")
-_GAITS = 3  # gaits of a plan without comparisons; with more runs than this, the spread is drawn
-SPREAD_FIGURE = "spread.png"
 SAME_PLACE = "Put the robot where the first run began: same grooves, fins straight"
 
 
@@ -83,8 +81,7 @@ def _parser() -> Parser:
         type=int,
         default=1,
         metavar="N",
-        help="runs of each gait (default: 1); their spread is printed, and drawn in spread.png if the campaign has "
-        "more than three runs in total",
+        help="runs of each gait (default: 1); their spread is printed",
     )
     add(
         "--with-nominal",
@@ -126,7 +123,8 @@ def _campaign(options: argparse.Namespace) -> int:
     say = ProgressLog("campaign")
     try:
         with termination_as_interrupt(), work_folder("campaign") as work:
-            campaign = _Campaign(options, robot.in_folder(work), folder, work / "logs", say)
+            robot = replace(robot, settings={"directory": str(work), **robot.settings})
+            campaign = _Campaign(options, robot, folder, work / "logs", say)
             names = campaign.run()
     except FAILURES as error:
         sys.stderr.write(f"campaign: {error}\n{_hint(options, folder)}")
@@ -168,16 +166,17 @@ class _Campaign:
 
         Return the name of the gait of each run, by the name of the run.
         """
-        from worm_optimizer.operation.campaign_plan import promise, run_names
-        from worm_optimizer.operation.campaign_runs import run_gaits
+        from worm_optimizer.operation.campaign_plan import make_plan, promise, run_names
+        from worm_optimizer.operation.campaign_runs import at_once, run_gaits
 
         options = self._options
         if options.identify:
             self._identify()
         self._content = load_parameter_file(options.parameters)
         self._settings = replace(chosen_settings(options), conditions=self._robot.conditions)
-        self._plan = self._planned()
-        ask = _prompt("Put the robot where it has room") if self._prompts else _at_once
+        nominal = options.with_nominal or options.identify
+        self._plan = make_plan(self._content, self._settings, options.direction, nominal=nominal)
+        ask = _prompt("Put the robot where it has room") if self._prompts else at_once
         if options.tune:
             self._tune(ask)
         promise(self._plan, self._folder)
@@ -185,21 +184,8 @@ class _Campaign:
         orders = {
             run: GaitCommand(self._plan.gaits[name].gait, CYCLES) for run, name in names.items()
         }
-        logs = self._logs_of("validation")
-        run_gaits(self._robot, orders, self._folder, logs, self._say, ask)
+        run_gaits(self._robot, orders, self._folder, self._logs, self._say, ask)
         return names
-
-    def _logs_of(self, stage: str) -> Path:
-        (self._logs / stage).mkdir()
-        return self._logs / stage
-
-    def _planned(self) -> Plan:
-        """Return the plan of the validation: three gaits of the exact front, and the gaits to compare them with."""
-        from worm_optimizer.operation.campaign_plan import make_plan, with_comparisons
-
-        given = self._content, self._settings, self._options.direction
-        nominal = self._options.with_nominal or self._options.identify
-        return with_comparisons(make_plan(*given), *given, nominal=nominal)
 
     def _tune(self, ask: Prepare) -> None:
         """Tune the three gaits of the plan on the robot, and predict the tuned gaits."""
@@ -217,8 +203,7 @@ class _Campaign:
             return gait.gait, lambda bags: measured_step(bags, aim, self._say)
 
         three = {name: first(gait) for name, gait in plan.optimisation.front.three.items()}
-        logs = self._logs_of("tuning")
-        tuned = tune_gaits(self._robot, three, self._folder, logs, self._say, ask)
+        tuned = tune_gaits(self._robot, three, self._folder, self._logs, self._say, ask)
         steps = {name: each.step.gait for name, each in tuned.items()}
         gaits = predicted_gaits(steps, self._content, self._settings)
         self._plan = replace(plan, gaits={**plan.gaits, **gaits})
@@ -227,19 +212,17 @@ class _Campaign:
     def _identify(self) -> None:
         """Record the missing runs, identify the parameters unless the results exist, and use the parameters."""
         from worm_optimizer.operation import identification_runs
-        from worm_optimizer.operation.campaign_runs import put_aside
+        from worm_optimizer.operation.campaign_runs import put_aside, run_gaits
 
         options, folder, say = self._options, self._folder, self._say
         known = load_parameter_file(options.parameters)
-        folder.mkdir(parents=True, exist_ok=True)
-        orders = identification_runs.identification_orders(
-            options.direction, known.parameters.pitch
-        )
-        logs = self._logs_of("identification")
+        runs = folder / identification_runs.RUNS
+        runs.mkdir(parents=True, exist_ok=True)
+        pitch = known.parameters.pitch
+        orders = identification_runs.identification_orders(options.direction, pitch)
         ask = _prompt(SAME_PLACE) if self._prompts else identification_runs.put_back
-        bags = identification_runs.record_identification(
-            self._robot, orders, folder, logs, say, ask
-        )
+        run_gaits(self._robot, orders, runs, self._logs, say, ask)
+        bags = [runs / name for name in orders]
         report, parameters, summary = (
             folder / identification_runs.REPORT,
             folder / identification_runs.PARAMETERS,
@@ -261,12 +244,14 @@ class _Campaign:
         self._summary |= {"parameter_file": str(parameters), "bags": [str(b) for b in bags]}
         options.parameters = str(parameters)
         options.identification = [parameters, report]
-        self._robot = self._robot.with_parameters(options.parameters)
+        settings = {**self._robot.settings, "parameter_file": options.parameters}
+        self._robot = replace(self._robot, settings=settings)
 
     def compare(self, names: Mapping[str, str]) -> None:
         """Write the report on the runs, whose gaits ``names`` contains by run, and print it."""
-        from worm_optimizer.operation.campaign_plan import draw_spread, spread
+        from worm_optimizer.operation.campaign_plan import spread_table
         from worm_optimizer.operation.campaign_runs import put_aside
+        from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
         from worm_optimizer.report.identification_parts import identification_of
         from worm_optimizer.report.recordings import read_recorded_gaits
         from worm_optimizer.report.report_page import Report, build_report
@@ -277,53 +262,29 @@ class _Campaign:
         title = f"Validation campaign ({options.mode} robot)"
         parts = identification_of(options)
         report = Report(title, recorded, plan.optimisation, identification=parts)
-        spreads = [
-            spread(
-                name,
-                promise,
-                [r for run, r in zip(names, recorded, strict=True) if names[run] == name],
-            )
-            for name, promise in plan.gaits.items()
-        ]
         put_aside(self._folder / "report", self._say)
         page = build_report(report, self._folder / "report")
-        if len(recorded) > _GAITS:
-            draw_spread(self._folder / SPREAD_FIGURE, spreads)
-        self._print(recorded, spreads, page)
-
-    def _print(self, gaits: Sequence[RecordedGait], spreads: Sequence[Spread], page: Path) -> None:
-        from worm_optimizer.operation.campaign_plan import spread_table
-        from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
-
-        judged = agreement_json(gaits)
-        content = {
-            "folder": str(self._folder),
-            "page": str(page),
-            **judged,
-            "spread": [asdict(row) for row in spreads],
-        }
-        content["gaits"] = [
+        judged = agreement_json(recorded)
+        gaits = [
             {
                 **{name: row[name] for name in ("name", "agrees", "verdict", "grooves")},
-                "measured": _values(row["measured"]),
-                "expected": _values(row["expected"]),
+                **{
+                    source: {key: band["value"] for key, band in row[source].items()}
+                    for source in ("measured", "expected")
+                },
                 "nominal": {key: getattr(gait.expected.nominal, key) for key in QUANTITIES},
             }
-            for row, gait in zip(judged["runs"], gaits, strict=True)
+            for row, gait in zip(judged["runs"], recorded, strict=True)
         ]
+        places = {"folder": str(self._folder), "page": str(page)}
+        runs: dict[str, list[RecordedGait]] = defaultdict(list)
+        for name, gait in zip(names.values(), recorded, strict=True):
+            runs[name].append(gait)
         files = {"recordings": self._folder, "report": page}
         if "parameter_file" in self._summary:
             files = {"parameters": self._summary["parameter_file"], **files}
-        text = f"{describe(gaits)}\n\n{spread_table(spreads)}\n\n{labelled(files)}"
-        print_result(self._options, content | self._summary, text)
-
-
-def _values(bands: dict[str, Any]) -> dict[str, float]:
-    return {quantity: band["value"] for quantity, band in bands.items()}
-
-
-def _at_once(_running: Session, _text: str) -> None:
-    """Do nothing before a run."""
+        text = f"{describe(recorded)}\n\n{spread_table(plan.gaits, runs)}\n\n{labelled(files)}"
+        print_result(options, {**places, **judged, "gaits": gaits, **self._summary}, text)
 
 
 def _prompt(instruction: str) -> Prepare:

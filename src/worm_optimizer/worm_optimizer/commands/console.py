@@ -114,7 +114,7 @@ def _robot_opener(
         name: name of the operator node that connects to a running graph.
     """
     robot = robot_of(options, "virtual" if options.virtual else "robot")
-    system = robot.file.system(robot.mode, namespace.strip("/"), **robot.settings)
+    system = robot.system(namespace.strip("/"))
 
     @contextmanager
     def opened(say: Say, check: Check) -> Iterator[OperatorNode]:

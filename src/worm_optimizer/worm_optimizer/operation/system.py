@@ -8,7 +8,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,9 +21,6 @@ from worm_msgs.settings_file import OneOf, key, read_settings
 from worm_msgs.yaml_file import unknown_name
 
 DRIVER, RECORDER = "driver", "recorder"  # names of nodes in system.yaml
-# Nodes that a campaign does not start: the front is known, and each gait has its own recorder.
-_UNUSED = {"optimizer", RECORDER}
-
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
 MODES = ("robot", "virtual", "replay")
@@ -278,21 +275,10 @@ class Robot:
         """Conditions in the pipe according to the settings. Raises the errors of `conditions_of`."""
         return conditions_of(self.settings)
 
-    def system(self) -> System:
-        """Return the system of the nodes that run during a whole campaign: all but optimizer and recorder."""
-        whole = self.file.system(self.mode, **self.settings)
-        return System(
-            whole.namespace, tuple(node for node in whole.nodes if node.name not in _UNUSED)
-        )
+    def system(self, namespace: str = "", **changes: str) -> System:
+        """Return the system of this robot in a namespace (empty: that of the file), with changed settings."""
+        return self.file.system(self.mode, namespace, **{**self.settings, **changes})
 
-    def in_folder(self, folder: Path) -> Robot:
-        """Return the same robot with its sockets in ``folder``, unless the settings name a folder already."""
-        return replace(self, settings={"directory": str(folder), **self.settings})
-
-    def with_parameters(self, file: str) -> Robot:
-        """Return the same robot with another parameter file."""
-        return replace(self, settings={**self.settings, "parameter_file": file})
-
-    def recording_system(self, bag: Path) -> System:
-        """Return the system of the same robot, in which the recorder records into ``bag``."""
-        return self.file.system(self.mode, **{**self.settings, "bag": str(bag)})
+    def recorder(self, bag: Path, namespace: str = "") -> NodeDescription:
+        """Return the recorder of this robot, which records into ``bag``."""
+        return self.system(namespace, bag=str(bag)).node(RECORDER)
