@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -46,7 +45,7 @@ from worm_optimizer.robot_commands import GaitCommand, RunResult
 
 if TYPE_CHECKING:  # Numba loads slowly
     from worm_optimizer.operation.campaign_runs import Tuned
-    from worm_optimizer.robustness.tuning import GaitLimits, Tuning
+    from worm_optimizer.robustness.tuning import GaitLimits
 
 
 def add_run(parser: Parser) -> None:

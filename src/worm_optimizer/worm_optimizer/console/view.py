@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health, StateRecord
 from worm_model.twin.run_margins import spare_of
-from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.robot_commands import Snapshot
 
 SOURCES: Mapping[str, str] = {  # topic and the name of its source
@@ -20,6 +19,7 @@ SOURCES: Mapping[str, str] = {  # topic and the name of its source
     "tracker": "tracker",
     "twin/state": "twin",
 }
+STALE_S = 1.0  # time without a message after which a topic is silent
 HISTORY_S = 60.0
 SAMPLE_S = 0.2  # period of the history, s
 MOVING = (Activity.RESTING, Activity.RUNNING, Activity.STOPPING)
@@ -78,12 +78,12 @@ def state_text(snapshot: Snapshot, *, stopping: bool = False) -> str:
 
 def twin_text(snapshot: Snapshot, now: float) -> str:
     """Return the health of the robot according to the twin, with the delay of the twin."""
-    residuals = snapshot.residuals
-    if residuals is None or not is_live(snapshot, "twin/residuals", now):
+    health = snapshot.health
+    if health is None or not is_live(snapshot, "twin/residuals", now):
         return "twin: no message"
     age = f"{snapshot.twin_age:.1f} s behind" if math.isfinite(snapshot.twin_age) else ""
-    unknown = "nothing to compare with yet" if residuals.health is Health.UNKNOWN else ""
-    parts = (f"twin: {residuals.health.name.lower()}", residuals.message or unknown, age)
+    unknown = "nothing to compare with yet" if health is Health.UNKNOWN else ""
+    parts = (f"twin: {health.name.lower()}", snapshot.health_message or unknown, age)
     return ", ".join(part for part in parts if part)
 
 

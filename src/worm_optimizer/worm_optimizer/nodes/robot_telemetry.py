@@ -7,7 +7,6 @@ import dataclasses
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from rclpy.node import Node
@@ -26,7 +25,7 @@ _NEWEST = QoSProfile(depth=1)
 # Number of stored tracker samples, 2 s at 100 Hz. The twin lags behind the tracker by less than 2 s.
 _SIGHTINGS = 200
 _LENGTHS = {source: f"body_length/{source.name.lower()}" for source in LengthSource}
-_MEASUREMENTS: Mapping[str, type] = {
+_MEASUREMENTS: dict[str, type] = {
     "power": Power,
     "tracker": Tracker,
     "twin/state": TwinState,
