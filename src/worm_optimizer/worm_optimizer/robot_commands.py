@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from worm_model.errors import InputError
-from worm_model.gait import Gait, Profile
+from worm_model.gait import Gait
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health, StateRecord
 from worm_model.twin.scene import PositionSample
@@ -47,22 +47,17 @@ class GaitCommand:
 
     def __str__(self) -> str:
         gait = self.gait
+        parts = [f"stroke {1e3 * gait.stroke:.1f} mm", f"frequency {gait.frequency:.3f} Hz"]
+        if not gait.is_sinusoid:
+            parts.append(f"pretension {1e3 * gait.pretension:.1f} mm")
+            parts.append(f"contraction share {gait.contraction_share:g}, {gait.profile}")
+        parts.append("forward" if gait.direction > 0 else "reverse")
         ends = (
             (self.cycles, f"{self.cycles} cycles"),
             (self.grooves, f"{self.grooves} grooves"),
             (self.distance, f"{1e3 * self.distance:g} mm"),
         )
-        trapezoid = gait.profile is Profile.TRAPEZOID
-        parts = (
-            (True, f"stroke {1e3 * gait.stroke:.1f} mm"),
-            (True, f"frequency {gait.frequency:.3f} Hz"),
-            (gait.pretension, f"pretension {1e3 * gait.pretension:.1f} mm"),
-            (gait.contraction_share != 0.5, f"contraction share {gait.contraction_share:g}"),
-            (trapezoid, f"trapezoid with ramp share {gait.ramp_share:g}"),
-            (True, "forward" if gait.direction > 0 else "reverse"),
-            (True, " or ".join(text for given, text in ends if given)),
-        )
-        return ", ".join(text for shown, text in parts if shown)
+        return ", ".join([*parts, " or ".join(text for given, text in ends if given)])
 
 
 @dataclass(frozen=True)

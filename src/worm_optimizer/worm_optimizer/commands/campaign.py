@@ -127,10 +127,10 @@ def _campaign(options: argparse.Namespace) -> int:
             campaign = _Campaign(options, robot, folder, work / "logs", say)
             names = campaign.run()
     except FAILURES as error:
-        sys.stderr.write(f"campaign: {error}\n{_hint(options, folder)}")
+        sys.stderr.write(f"campaign: {error}\n{_hint(folder)}")
         return FAILED
     except KeyboardInterrupt:
-        sys.stderr.write(_hint(options, folder))
+        sys.stderr.write(_hint(folder))
         raise
     say("comparing")
     campaign.compare(names)
@@ -303,15 +303,14 @@ def _prompt(instruction: str) -> Prepare:
 
 def _folder(options: argparse.Namespace) -> Path:
     """Return the folder for bags and report. Raises InputError."""
-    from worm_optimizer.operation.campaign_plan import PROMISES
     from worm_optimizer.report.report_page import PAGE
 
     if options.resume is not None:
         if options.output is not None:
             raise InputError("--resume names the folder: remove --output")
         resumed: Path = options.resume.resolve()
-        if not _is_begun(options, resumed):
-            raise InputError(f"{resumed}: contains no campaign ({PROMISES} is missing)")
+        if not resumed.is_dir():
+            raise InputError(f"{resumed}: there is no such campaign")
         if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete and contains its report")
         return resumed
@@ -324,19 +323,9 @@ def _folder(options: argparse.Namespace) -> Path:
     return folder
 
 
-def _is_begun(options: argparse.Namespace, folder: Path) -> bool:
-    """Return True if a folder contains a campaign that can be continued."""
-    from worm_optimizer.operation.campaign_plan import PROMISES
-    from worm_optimizer.operation.campaign_runs import TUNING
-    from worm_optimizer.operation.identification_runs import RUNS
-
-    identified = options.identify and (folder / RUNS).is_dir()
-    return (folder / PROMISES).is_file() or identified or (folder / TUNING).is_dir()
-
-
-def _hint(options: argparse.Namespace, folder: Path) -> str:
+def _hint(folder: Path) -> str:
     """Return a line on how to continue an interrupted campaign; empty if nothing has begun."""
-    return f"campaign: continue with --resume {folder}\n" if _is_begun(options, folder) else ""
+    return f"campaign: continue with --resume {folder}\n" if folder.exists() else ""
 
 
 main = executable(_parser, _campaign)

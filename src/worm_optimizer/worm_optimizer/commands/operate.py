@@ -52,27 +52,15 @@ def _parser() -> Parser:
         return added
 
     add("state", _state, "Print the state of the robot; exit status 1 without a driver.")
-    add(
-        "home",
-        _simple(OperatorNode.home),
-        "Define the present cable length as ΔL = 0; torque must be off.",
-    )
-    add("activate", _simple(OperatorNode.activate), "Turn the torque on without motion.")
-    add(
-        "deactivate",
-        _simple(OperatorNode.deactivate),
-        "Bring the robot to rest and turn its torque off.",
-    )
-    add(
-        "stop",
-        _simple(OperatorNode.stop),
-        "Hold the cable where it is, immediately; the torque stays on.",
-    )
-    add(
-        "reboot",
-        _simple(OperatorNode.reboot),
-        "Restart the servos that report a hardware error; torque must be off.",
-    )
+    home, off = "Define the present cable length as ΔL = 0", "torque must be off."
+    for name, call, text in (
+        ("home", OperatorNode.home, f"{home}; {off}"),
+        ("activate", OperatorNode.activate, "Turn the torque on without motion."),
+        ("deactivate", OperatorNode.deactivate, "Bring the robot to rest and turn its torque off."),
+        ("stop", OperatorNode.stop, "Hold the cable at once where it is; the torque stays on."),
+        ("reboot", OperatorNode.reboot, f"Restart the servos with a hardware error; {off}"),
+    ):
+        add(name, _simple(call), text)
     switch = add(
         "emergency_stop",
         _emergency_stop,

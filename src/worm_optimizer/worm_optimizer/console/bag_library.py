@@ -133,12 +133,3 @@ def cells_of(row: Row) -> dict[str, Any]:
     """Return the cells of a row in the list, by column."""
     row = {**row, "health": row["health"] or row["state"]}
     return {"name": row["name"], **{column.key: column.cell(row) for column in LISTED}}
-
-
-def matches(row: Row, words: str) -> bool:
-    """Return True if each of the words occurs in the cells, state, direction or notes of a row, ignoring case."""
-    gait = row["gait"]
-    direction = "" if gait is None else ("forward" if gait["direction"] > 0 else "reverse")
-    shown = (*cells_of(row).values(), row["state"], direction, row.get("notes"))
-    text = " ".join(map(str, filter(None, shown))).lower()
-    return all(word in text for word in words.lower().split())

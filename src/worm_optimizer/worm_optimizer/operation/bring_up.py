@@ -93,13 +93,11 @@ class Session:
     Attributes:
         group: processes of the nodes.
         node: the operator node, in the namespace of the system.
-        system: the nodes.
         say: called with each line of progress.
     """
 
     group: ProcessGroup
     node: OperatorNode
-    system: System
     say: Say
 
     def activate(self) -> None:
@@ -171,7 +169,7 @@ def session(
             start_nodes(group, system)
             _wait_for_driver(group, node, system.namespace)
             node.wait_for_nodes(description.name for description in system.nodes)
-            yield Session(group, node, system, say)
+            yield Session(group, node, say)
             say("stopping the nodes")
     finally:
         _report_torque(group, system)
