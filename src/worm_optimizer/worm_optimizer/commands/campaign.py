@@ -309,8 +309,8 @@ def _folder(options: argparse.Namespace) -> Path:
         if options.output is not None:
             raise InputError("--resume names the folder: remove --output")
         resumed: Path = options.resume.resolve()
-        if not resumed.is_dir():
-            raise InputError(f"{resumed}: there is no such campaign")
+        if not _is_begun(resumed):
+            raise InputError(f"{resumed}: contains no campaign")
         if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete and contains its report")
         return resumed
@@ -323,9 +323,18 @@ def _folder(options: argparse.Namespace) -> Path:
     return folder
 
 
+def _is_begun(folder: Path) -> bool:
+    """Return True if a folder contains a campaign that can be continued."""
+    from worm_optimizer.operation.campaign_plan import PROMISES
+    from worm_optimizer.operation.campaign_runs import TUNING
+    from worm_optimizer.operation.identification_runs import RUNS
+
+    return any((folder / name).exists() for name in (PROMISES, RUNS, TUNING))
+
+
 def _hint(folder: Path) -> str:
     """Return a line on how to continue an interrupted campaign; empty if nothing has begun."""
-    return f"campaign: continue with --resume {folder}\n" if folder.exists() else ""
+    return f"campaign: continue with --resume {folder}\n" if _is_begun(folder) else ""
 
 
 main = executable(_parser, _campaign)

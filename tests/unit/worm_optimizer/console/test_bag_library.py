@@ -9,7 +9,7 @@ import pytest
 
 from worm_model.errors import InputError
 from worm_optimizer.console import bag_library
-from worm_optimizer.console.bag_library import BagLibrary, cells_of, matches
+from worm_optimizer.console.bag_library import BagLibrary, cells_of
 
 
 @pytest.fixture
@@ -54,18 +54,6 @@ def test_a_bag_whose_links_lead_out_is_not_packed(library: BagLibrary, tmp_path:
 
 def test_a_missing_folder_is_created_and_has_no_rows(tmp_path: Path):
     assert asyncio.run(BagLibrary(tmp_path / "new").rows()) == []
-
-
-def test_a_row_matches_texts_that_its_table_shows():
-    gait = {"direction": 1, "stroke": 0.07, "frequency": 0.2}
-    row = {"name": "run_1", "start": "2026-11-21", "gait": gait, "health": "healthy", "state": ""}
-    row |= {"speed": 0.00346, "power": float("nan"), "cycles": None}
-    for query in ("", "RUN forward", "11-21 healthy", "70", "70.0 mm", "0.200 hz", "3.46"):
-        assert matches(row, query), query
-    for query in ("reverse", "faulty", "71", "nan", "none"):
-        assert not matches(row, query), query
-    assert matches({**row, "gait": {**gait, "direction": -1}}, "reverse")
-    assert matches({**row, "gait": None, "notes": "a new fin"}, "new FIN")
 
 
 def test_a_list_has_rounded_numbers_and_the_state_of_a_bag_without_health():

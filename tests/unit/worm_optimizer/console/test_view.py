@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
+from worm_model.twin.data.records import Health, StateRecord
 from worm_optimizer.console import view
 from worm_optimizer.robot_commands import DriverState, Snapshot
 
@@ -76,13 +76,13 @@ def test_possible_actions_follow_from_the_state(given: Snapshot, possible: set[s
 
 
 def test_the_age_of_the_twins_data_is_shown():
-    residuals = ResidualRecord(0, *(0.0,) * 7, Health.SUSPECT, "a fin slips")
     received = {**RECEIVED, "twin/residuals": NOW}
-    known = replace(snapshot(), residuals=residuals, twin_age=0.43, received=received)
+    told = {"health": Health.SUSPECT, "health_message": "a fin slips"}
+    known = replace(snapshot(), **told, twin_age=0.43, received=received)
     assert view.twin_text(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
     assert view.twin_text(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
     assert view.twin_text(known, NOW + 2.0) == "twin: no message"
-    no_run = replace(known, residuals=replace(residuals, health=Health.UNKNOWN, message=""))
+    no_run = replace(known, health=Health.UNKNOWN, health_message="")
     assert "nothing to compare with" in view.twin_text(no_run, NOW)
 
 
