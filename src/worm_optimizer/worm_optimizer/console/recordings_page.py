@@ -95,9 +95,15 @@ class RecordingsPage:
         self._detail.set_visibility(False)
         self._list.set_visibility(True)
 
-    def _download(self) -> None:
+    async def _download(self) -> None:
         names = self.selected()
         if not names:
             self._note.set_text("select a bag in the list")
-        for name in names:
-            ui.download.from_url(f"/bags/{quote(name)}")
+            return
+        self._note.set_text("packing")
+        try:
+            for name in names:
+                ui.download.file(await self._state.library.packed(name))
+            self._note.set_text("")
+        except InputError as error:
+            self._note.set_text(str(error))
