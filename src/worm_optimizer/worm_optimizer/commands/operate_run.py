@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
@@ -80,8 +79,7 @@ def run(node: OperatorNode, options: argparse.Namespace) -> int:
     recording: AbstractContextManager[Path | None] = nullcontext()
     if options.record is not None:
         new = new_bag(options.record)
-        recorder = recorder_of(node, new, options.parameters, conditions)
-        recording = recorded(node, recorder, str(os.getpid()))
+        recording = recorded(node, recorder_of(node, new, options.parameters, conditions))
     say(f"running {command}")
     with recording as bag:
         result = attended(node, command, say)
@@ -227,10 +225,9 @@ def tune(node: OperatorNode, options: argparse.Namespace) -> int:
     gait, aim = _first_step(node, options, say)
 
     def record(gait: Gait, number: int) -> Path:
-        name = f"{os.getpid()}_{number}"
         bag = new_bag(options.record, "tune")
         recorder = recorder_of(node, bag, options.parameters, conditions)
-        with recorded(node, recorder, name) as path:
+        with recorded(node, recorder) as path:
             result = attended(node, GaitCommand(gait, CYCLES), say)
         if not result.success:
             raise GaitFailedError(f"run {number}: {result.message}")

@@ -17,7 +17,7 @@ from worm_optimizer.console.control import PageControl
 from worm_optimizer.console.page_actions import Front
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
-from worm_optimizer.console.view import HISTORY_S, SAMPLE_S, Sample, live_twin, sample
+from worm_optimizer.console.view import HISTORY_S, SAMPLE_S, live_twin, sample
 from worm_optimizer.robot_commands import Snapshot
 
 _FRESH_S = 0.02  # time for which all pages share a snapshot, s
@@ -52,7 +52,7 @@ class ConsoleState:
     fronts: dict[int, Front] = field(default_factory=dict)
     front_notes: dict[int, str] = field(default_factory=dict)
     conditions: Conditions = LEVEL
-    samples: deque[Sample] = field(
+    samples: deque[dict[str, float]] = field(
         default_factory=lambda: deque(maxlen=round(HISTORY_S / SAMPLE_S))
     )
     _latest: tuple[float, Snapshot] = (-math.inf, Snapshot())

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,8 +120,7 @@ def run(
         InputError: The bag cannot be created.
     """
     recorder = recorder_of(node, new_bag(folder), parameter_file, node.conditions())
-    name = f"console_{os.getpid()}_{time.monotonic_ns()}"
-    with recorded(node, recorder, name) as bag:
+    with recorded(node, recorder) as bag:
         if why := cancellation():
             raise OperatorError(f"not started: {why}")
         with node.started(command, lambda: not cancellation()) as gait_run:

@@ -104,7 +104,7 @@ class RobotWorker:
         node = self._stop_node
         if node is None:
             return Snapshot()
-        known = node.snapshot()
+        known = node.telemetry.snapshot()
         return known if self._has_driver else replace(known, driver=None)
 
     @property
@@ -210,7 +210,7 @@ class RobotWorker:
 
     def _run_stop(self) -> None:
         with self._open_stop(self._check_stop) as node:
-            node.subscribe_to_all()
+            node.telemetry.subscribe_to_all()
             node.prepare_stop()
             self._stop_node = node
             was_lost = False

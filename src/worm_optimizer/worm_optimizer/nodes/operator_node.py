@@ -105,6 +105,9 @@ class OperatorNode(RobotClient):
         check: called during each wait. It may raise, for example when a node's process has ended.
         context: ROS context.
         name: name of the node.
+
+    Attributes:
+        telemetry: latest state of the robot.
     """
 
     def __init__(
@@ -116,7 +119,7 @@ class OperatorNode(RobotClient):
     ) -> None:
         super().__init__(name, namespace, context, check)
         self._simulated_s: float | None = None  # time of a virtual robot's clock
-        self._telemetry = Telemetry(self)
+        self.telemetry = Telemetry(self)
         self._errors: deque[str] = deque(maxlen=20)  # errors in the driver's log
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
@@ -139,30 +142,22 @@ class OperatorNode(RobotClient):
 
     def wait_for_driver(self, timeout_s: float) -> None:
         """Wait for a message of a driver in this namespace. Raises `OperatorError` at the timeout (s)."""
-        if not self.wait(lambda: self._telemetry.driver is not None, timeout_s):
+        if not self.wait(lambda: self.telemetry.driver is not None, timeout_s):
             raise OperatorError(
                 f"no driver in {self.get_namespace()} within {timeout_s:g} s: start one "
                 "(./worm start, or ros2 launch worm_optimizer worm.launch.py), or give its namespace "
                 "and ROS_DOMAIN_ID"
             )
 
-    def subscribe_to_all(self) -> None:
-        """Subscribe to all topics of `snapshot`."""
-        self._telemetry.subscribe_to_all()
-
-    def snapshot(self) -> Snapshot:
-        """Return the latest state of the robot from the messages received so far. Any thread may call this."""
-        return self._telemetry.snapshot()
-
     def current_snapshot(self) -> Snapshot:
         """Wait up to `TELEMETRY_S` for a message of each measurement, and return the state of the robot.
 
         Raises `OperatorError` without a driver.
         """
-        self.subscribe_to_all()
+        self.telemetry.subscribe_to_all()
         self.wait_for_driver(DISCOVERY_TIMEOUT_S)
-        self.wait(lambda: self._telemetry.is_complete, TELEMETRY_S)
-        return self.snapshot()
+        self.wait(lambda: self.telemetry.is_complete, TELEMETRY_S)
+        return self.telemetry.snapshot()
 
     def lifecycle_state(self) -> str:
         """Return the primary lifecycle state of the driver, such as ``active``. Raises `OperatorError`."""
@@ -176,7 +171,7 @@ class OperatorNode(RobotClient):
     @property
     def has_lost_driver(self) -> bool:
         """True if the driver has disappeared and its latest message did not report the state inactive."""
-        driver = self._telemetry.driver
+        driver = self.telemetry.driver
         return driver is not None and driver.state is not Activity.INACTIVE and not self.has_driver
 
     def rest(self, duration_s: float) -> None:
@@ -187,7 +182,7 @@ class OperatorNode(RobotClient):
     @property
     def run_number(self) -> int:
         """Number of the driver's latest run, whoever has started it; 0 before its first run."""
-        driver = self._telemetry.driver
+        driver = self.telemetry.driver
         return 0 if driver is None else driver.run
 
     def require_tracker(self) -> None:
@@ -285,7 +280,7 @@ class OperatorNode(RobotClient):
         return self.create_publisher(Bool, "emergency_stop", 10)
 
     def _is_stopped(self) -> bool:
-        driver = self._telemetry.driver
+        driver = self.telemetry.driver
         return driver is not None and driver.emergency_stop
 
     def inject_fault(self, name: str, **details: float) -> str:

@@ -240,7 +240,7 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
 
 
 @contextmanager
-def recorded(node: OperatorNode, recorder: NodeDescription, name: str) -> Iterator[Path]:
+def recorded(node: OperatorNode, recorder: NodeDescription) -> Iterator[Path]:
     """Record during this context with a recorder of its own, and provide the path of the bag.
 
     The context begins when the recorder has subscribed to all topics. After the context, the recorder records for
@@ -249,9 +249,8 @@ def recorded(node: OperatorNode, recorder: NodeDescription, name: str) -> Iterat
     Args:
         node: the operator.
         recorder: description of the recorder, see `Robot.recorder` and `recorder_of`.
-        name: last part of the name of the recorder's node, unique among all recorders.
     """
-    name = f"{RECORDER}_{name}"
+    name = f"{RECORDER}_{os.getpid()}_{time.monotonic_ns()}"  # unique among all recorders
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     with (
         ExitStack() as removal,

@@ -82,7 +82,7 @@ def gait_recorder(
             prepare(running, f"{bag.name}: {order}")
             put_aside(bag, say)
             say(f"{bag.name}: {order}")
-            with recorded(node, robot.recorder(bag), bag.name):
+            with recorded(node, robot.recorder(bag)):
                 if node.run_number != latest:
                     say(f"{bag.name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
                 running.run_gait(order)

@@ -23,7 +23,7 @@ class Node:
         self.meanwhile: Callable[[], None] = lambda: None
         self.broken = ""
         self.has_driver, self.has_lost_driver = True, False
-        self.known = Snapshot()
+        self.known, self.telemetry = Snapshot(), self
 
     def subscribe_to_all(self) -> None: ...
 
