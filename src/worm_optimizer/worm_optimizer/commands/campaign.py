@@ -223,7 +223,8 @@ class _Campaign:
         ask = _prompt(SAME_PLACE) if self._prompts else identification_runs.put_back
         run_gaits(self._robot, orders, runs, self._logs, say, ask)
         bags = [runs / name for name in orders]
-        report, parameters, summary = (folder / name for name in identification_runs.RESULTS)
+        report, summary = folder / identification_runs.REPORT, folder / identification_runs.SUMMARY
+        parameters = folder / identification_runs.PARAMETERS
         if not summary.exists():
             for left in (report, parameters):
                 put_aside(left, say)  # incomplete results of an interrupted identification

@@ -86,8 +86,11 @@ def _console(options: argparse.Namespace) -> int:
     namespace = "/" + options.namespace.strip("/")
     name = f"console_{os.getpid()}"
     robot = robot_of(options, "virtual" if options.virtual else "robot")
+    system = robot.system(namespace.strip("/"))
     worker = RobotWorker(
-        partial(_opened, options.virtual, robot.system(namespace.strip("/")), name),
+        partial(_started, system)
+        if options.virtual
+        else lambda _say, check: operator(namespace, check, name),
         lambda check: operator(namespace, check, f"{name}_stop"),
         notify,
     )
@@ -106,21 +109,15 @@ def _console(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _opened(
-    is_virtual: bool, system: System, name: str, say: Say, check: Check
-) -> Iterator[OperatorNode]:
-    """Open an operator node with a name that connects to a running graph; of a virtual robot, start the graph first."""
-    if is_virtual:
-        with (
-            work_folder("console") as work,
-            session(system, work / "logs", say, RESTARTS, check) as running,
-        ):
-            running.node.activate()
-            say("all nodes run")
-            yield running.node
-    else:
-        with operator(f"/{system.namespace}", check, name) as node:
-            yield node
+def _started(system: System, say: Say, check: Check) -> Iterator[OperatorNode]:
+    """Start the node graph of a virtual robot, activate its driver, and provide an operator node."""
+    with (
+        work_folder("console") as work,
+        session(system, work / "logs", say, RESTARTS, check) as running,
+    ):
+        running.node.activate()
+        say("all nodes run")
+        yield running.node
 
 
 def _check_control_timeout(timeout_s: float) -> None:

@@ -44,12 +44,8 @@ _BEYOND = 0.3
 _MOST_CYCLES = 12
 BENCH, BENCH_S = "bench_tests", 60.0  # folder of the bench tests, and their timeout (s)
 # Names of the results in the folder of a campaign: folder of the bags, parameter file, folder of the report, summary
-RUNS = "identification"
-RESULTS = (REPORT, PARAMETERS, _) = (
-    "identification_report",
-    "parameters.yaml",
-    "identification.json",
-)
+RUNS, PARAMETERS = "identification", "parameters.yaml"
+REPORT, SUMMARY = "identification_report", "identification.json"
 
 
 def identification_orders(direction: int, pitch: float) -> dict[str, GaitCommand]:
