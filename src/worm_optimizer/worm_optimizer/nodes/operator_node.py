@@ -150,12 +150,8 @@ class OperatorNode(RobotClient):
             )
 
     def current_snapshot(self) -> Snapshot:
-        """Wait up to `TELEMETRY_S` for a message of each measurement, and return the state of the robot.
-
-        Raises `OperatorError` without a driver.
-        """
+        """Wait up to `TELEMETRY_S` for a message of each measurement, and return the state of the robot."""
         self.telemetry.subscribe_to_all()
-        self.wait_for_driver(DISCOVERY_TIMEOUT_S)
         self.wait(lambda: self.telemetry.is_complete, TELEMETRY_S)
         return self.telemetry.snapshot()
 

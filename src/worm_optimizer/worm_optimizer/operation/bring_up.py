@@ -75,15 +75,16 @@ def work_folder(program: str) -> Iterator[Path]:
     """
     folder = Path(tempfile.mkdtemp(prefix=f"worm_{program}_"))
     (folder / "logs").mkdir()
+    failed = False
     try:
         yield folder
     except FAILURES:
+        failed = True
         print(f"{program}: the logs of all nodes are in {folder / 'logs'}", file=sys.stderr)  # noqa: T201
         raise
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        if not failed:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -184,11 +185,10 @@ def _wait_for_driver(group: ProcessGroup, node: OperatorNode, namespace: str) ->
 
 
 def _report_torque(group: ProcessGroup, system: System) -> None:
-    """Raise `ProcessError` if a node has ended so that torque may be on."""
-    for node in system.nodes:
-        process = group.processes.get(node.name)
-        if process is not None and node.torque and process.exit_code:
-            raise ProcessError(node.end_report(process.exit_code))
+    """Raise `ProcessError` if the driver has ended so that torque may be on."""
+    driver = group.processes.get(DRIVER)
+    if driver is not None and driver.exit_code and system.node(DRIVER).torque:
+        raise ProcessError(system.node(DRIVER).end_report(driver.exit_code))
 
 
 def start_nodes(group: ProcessGroup, system: System) -> None:

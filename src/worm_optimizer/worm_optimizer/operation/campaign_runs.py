@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 from worm_model.analysis.run_metrics import last_played_gait
@@ -169,8 +168,7 @@ def tune_gaits(
 ) -> dict[str, Tuned]:
     """Tune gaits one after the other, with run N recorded as ``folder/tuning/NAME_N``; see `tune_gait`.
 
-    Complete recordings of an interrupted campaign are measured again instead of run again. The robot's nodes are
-    started when the first run is missing.
+    Complete recordings of an interrupted campaign are measured again instead of run again.
 
     Args:
         robot: the robot.
@@ -180,18 +178,16 @@ def tune_gaits(
         say: called with each line of progress.
         prepare: called before each run; raises an exception to end the campaign.
     """
-    runs = folder / TUNING
+    runs, tuned = folder / TUNING, {}
     runs.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as nodes:
-        recorder = cache(lambda: nodes.enter_context(gait_recorder(robot, logs, say, prepare)))
+    with gait_recorder(robot, logs, say, prepare) as record:
+        for name, (first, measure) in gaits.items():
 
-        def tuned(name: str, first: Gait, measure: Measure) -> Tuned:
-            def record(gait: Gait, number: int) -> Path:
+            def recorded_gait(gait: Gait, number: int, name: str = name) -> Path:
                 bag = runs / f"{name}_{number}"
                 if not is_recorded(bag):
-                    recorder()(bag, GaitCommand(gait, CYCLES))
+                    record(bag, GaitCommand(gait, CYCLES))
                 return bag
 
-            return tune_gait(first, record, measure, say)
-
-        return {name: tuned(name, *each) for name, each in gaits.items()}
+            tuned[name] = tune_gait(first, recorded_gait, measure, say)
+    return tuned

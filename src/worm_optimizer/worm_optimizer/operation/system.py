@@ -150,11 +150,9 @@ class SystemFile:
             settings: settings that differ from their defaults.
 
         Raises:
-            InputError: The mode or a setting is unknown, or a number is malformed.
+            InputError: A setting is unknown, or a number is malformed.
         """
         namespace = namespace or self.namespace
-        if mode not in MODES:
-            raise InputError(f"mode {mode!r}: choose one of {', '.join(MODES)}")
         unknown = sorted(set(settings) - set(self.settings))
         if unknown:
             raise InputError(unknown_name("setting", unknown[0], self.settings))
@@ -213,19 +211,6 @@ def settings_of(conditions: Conditions) -> dict[str, str]:
     return {name: repr(getattr(conditions, name)) for name in CONDITION_ROWS}
 
 
-def conditions_of(settings: Mapping[str, str]) -> Conditions:
-    """Return the conditions in the pipe from settings; the inverse of `settings_of`.
-
-    The condition of a missing or empty setting has its default, that of level ground.
-
-    Raises:
-        InputError: A setting is not a finite number.
-        ConditionsError: The conditions are not admissible.
-    """
-    stated = {name: _number(name, settings[name]) for name in CONDITION_ROWS if settings.get(name)}
-    return Conditions(**stated)
-
-
 def _parameters(
     parameters: Mapping[str, Value], values: Mapping[str, str | float]
 ) -> dict[str, Value]:
@@ -272,8 +257,14 @@ class Robot:
 
     @property
     def conditions(self) -> Conditions:
-        """Conditions in the pipe according to the settings. Raises the errors of `conditions_of`."""
-        return conditions_of(self.settings)
+        """Conditions in the pipe according to the settings, by default those of level ground.
+
+        Raises:
+            InputError: A setting is not a finite number.
+            ConditionsError: The conditions are not admissible.
+        """
+        names = [name for name in CONDITION_ROWS if self.settings.get(name)]
+        return Conditions(**{name: _number(name, self.settings[name]) for name in names})
 
     def system(self, namespace: str = "", **changes: str) -> System:
         """Return the system of this robot in a namespace (empty: that of the file), with changed settings."""

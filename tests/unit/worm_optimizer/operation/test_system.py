@@ -12,7 +12,7 @@ from worm_msgs.conditions import Conditions
 from worm_optimizer.operation.system import (
     MODES,
     NodeDescription,
-    conditions_of,
+    Robot,
     load_system_file,
     settings_of,
 )
@@ -128,10 +128,8 @@ def test_a_malformed_file_is_rejected_with_its_path(tmp_path, change, message):
     assert str(path) in str(error.value)
 
 
-def test_unknown_modes_and_settings_are_rejected(tmp_path):
+def test_unknown_settings_are_rejected(tmp_path):
     content = load_system_file(written(tmp_path, MINIMAL))
-    with pytest.raises(InputError, match="mode 'simulation': choose one of robot"):
-        content.system("simulation")
     with pytest.raises(InputError, match="no setting 'prot': did you mean port"):
         content.system("robot", prot="x")
 
@@ -172,8 +170,9 @@ def test_on_a_robot_gaits_keep_the_limits_of_its_driver():
 def test_conditions_reach_twin_optimizer_recorder_and_virtual_robot():
     stated = Conditions(slope_deg=-20.0, tether_n=2.0, tether_n_per_m=0.5, distance_m=3.0)
     settings = settings_of(stated)
-    assert conditions_of(settings) == stated
-    system = load_system_file(SHIPPED).system("virtual", bag="b", **settings)
+    robot = Robot(load_system_file(SHIPPED), "virtual", settings)
+    assert robot.conditions == stated
+    system = robot.system(bag="b")
     for name in ("twin", "optimizer"):
         given = system.node(name).parameters
         assert {key: given[key] for key in settings} == {k: float(v) for k, v in settings.items()}
