@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError
 from worm_model.gait import Gait
 from worm_optimizer.nodes.operator_node import OPTIMIZER
-from worm_optimizer.operation.bring_up import CYCLES, Say, Session, recorded, session
+from worm_optimizer.operation.bring_up import Say, Session, recorded, session
 from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.tuning import TuneState, Tuning
@@ -57,16 +56,6 @@ def run_gaits(
             say(f"{name}: recorded already")
     if not missing:
         return
-    with gait_recorder(robot, logs, say, prepare) as record:
-        for name, order in missing.items():
-            record(folder / name, order)
-
-
-@contextmanager
-def gait_recorder(
-    robot: Robot, logs: Path, say: Say, prepare: Prepare
-) -> Iterator[Callable[[Path, GaitCommand], None]]:
-    """Start the robot's nodes, and provide a function that runs a gait and records it as a bag; see `run_gaits`."""
     whole = robot.system()
     # The front is known, so that no optimizer is needed.
     system = replace(whole, nodes=tuple(each for each in whole.nodes if each.name != OPTIMIZER))
@@ -75,21 +64,17 @@ def gait_recorder(
         node.require_tracker()
         running.activate()
         latest = node.run_number
-
-        def record(bag: Path, order: GaitCommand) -> None:
-            nonlocal latest
-            prepare(running, f"{bag.name}: {order}")
-            put_aside(bag, say)
-            say(f"{bag.name}: {order}")
-            with recorded(node, robot.recorder(bag)):
+        for name, order in missing.items():
+            prepare(running, f"{name}: {order}")
+            put_aside(folder / name, say)
+            say(f"{name}: {order}")
+            with recorded(node, robot.recorder(folder / name)) as bag:
                 if node.run_number != latest:
-                    say(f"{bag.name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
+                    say(f"{name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
                 running.run_gait(order)
             latest = node.run_number
             if not is_recorded(bag):
-                say(f"{bag.name}: the tracker missed the end of the gait; --resume runs it again")
-
-        yield record
+                say(f"{name}: the tracker missed the end of the gait; --resume runs it again")
         running.release()
 
 
@@ -120,7 +105,6 @@ def put_aside(bag: Path, say: Say) -> None:
 
 
 MOST_RUNS = 5
-TUNING = "tuning"  # folder of a campaign's bags
 
 #: Runs a gait and returns its bag. Arguments: the gait, and the number of the run from 1. Raises an exception to end.
 Record = Callable[[Gait, int], Path]
@@ -156,38 +140,3 @@ def tune_gait(gait: Gait, record: Record, measure: Measure, say: Callable[[str],
             break
         gait = step.gait
     return Tuned(step, tuple(bags))
-
-
-def tune_gaits(
-    robot: Robot,
-    gaits: Mapping[str, tuple[Gait, Measure]],
-    folder: Path,
-    logs: Path,
-    say: Say,
-    prepare: Prepare,
-) -> dict[str, Tuned]:
-    """Tune gaits one after the other, with run N recorded as ``folder/tuning/NAME_N``; see `tune_gait`.
-
-    Complete recordings of an interrupted campaign are measured again instead of run again.
-
-    Args:
-        robot: the robot.
-        gaits: by name, the first gait and the measurement of its bags.
-        folder: folder of the campaign.
-        logs: folder of the log files.
-        say: called with each line of progress.
-        prepare: called before each run; raises an exception to end the campaign.
-    """
-    runs, tuned = folder / TUNING, {}
-    runs.mkdir(parents=True, exist_ok=True)
-    with gait_recorder(robot, logs, say, prepare) as record:
-        for name, (first, measure) in gaits.items():
-
-            def recorded_gait(gait: Gait, number: int, name: str = name) -> Path:
-                bag = runs / f"{name}_{number}"
-                if not is_recorded(bag):
-                    record(bag, GaitCommand(gait, CYCLES))
-                return bag
-
-            tuned[name] = tune_gait(first, recorded_gait, measure, say)
-    return tuned
