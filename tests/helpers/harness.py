@@ -54,6 +54,11 @@ class Processes(ProcessGroup):
         """Start an executable in the worm's namespace, with ROS parameters."""
         return self.start_executable(package, executable, *arguments, *ros_arguments(**parameters))
 
+    def operate(self, *arguments: str) -> Process:
+        """Start `operate`, which waits patiently for a driver."""
+        name, patience = f"operate_{len(self.processes)}", ("--timeout", f"{TIMEOUT_S:g}")
+        return self.start_executable("worm_optimizer", "operate", *arguments, *patience, name=name)
+
 
 class Probe:
     """A node in the worm's namespace whose every wait has a deadline."""

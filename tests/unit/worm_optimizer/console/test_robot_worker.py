@@ -104,7 +104,7 @@ def bench() -> Iterator[Bench]:
     bench = Bench()
     bench.worker.start()
     yield bench
-    bench.close()
+    bench.close()  # at once if the test has closed it
 
 
 def test_a_lost_driver_is_reported_once(bench: Bench):
@@ -162,9 +162,7 @@ def test_a_command_that_waits_for_the_start_is_executed_and_ends():
     bench.close()
 
 
-def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it():
-    bench = Bench()
-    bench.worker.start()
+def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it(bench: Bench):
     bench.submit(lambda node: "up")
     bench.notice("up")
     begun = threading.Semaphore(0)
@@ -186,14 +184,14 @@ def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it():
     assert bench.worker.failure == ""
 
 
-def test_a_robot_that_does_not_start_is_reported(request):
+def test_a_robot_that_does_not_start_is_reported():
     bench = Bench(failure="twin has ended")
     bench.worker.start()
-    request.addfinalizer(bench.close)
     assert not bench.notice("twin has ended").good
     assert bench.worker.hindrance == "twin has ended"
     assert not bench.worker.busy  # the pages show the failure, and the end waits for nothing
     assert not bench.worker.submit("working", lambda node: "")
+    bench.close()
 
 
 def test_a_restarted_node_blocks_no_command(bench: Bench):
@@ -237,28 +235,24 @@ def test_an_unexpected_error_is_reported_and_ends_all_commands_but_stop(bench: B
     assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # nevertheless
 
 
-def test_no_command_is_executed_if_stop_does_not_work(request):
+def test_no_command_is_executed_if_stop_does_not_work():
     bench = Bench()
     bench.stopper.broken = "no service stop"
     bench.worker.start()
-    request.addfinalizer(bench.close)
     message = "STOP does not work, so no command is executed: no service stop"
     assert not bench.notice(message).good
     assert bench.worker.hindrance == message
+    bench.close()
 
 
-def test_the_end_waits_for_a_run():
-    bench = Bench()
-    bench.worker.start()
+def test_the_end_waits_for_a_run(bench: Bench):
     bench.begin(lambda: wait_for(lambda: bench.worker.cancellation))
     bench.close()
     assert bench.notice("ended: the console ends").good
     assert bench.ends == 1
 
 
-def test_an_immediate_end_holds_the_robot():
-    bench = Bench()
-    bench.worker.start()
+def test_an_immediate_end_holds_the_robot(bench: Bench):
     bench.begin(lambda: bench.stopper.stops.acquire(timeout=TIMEOUT_S))
     bench.worker.close(hold_now=lambda: True)
     assert bench.notice("holding").good
@@ -280,7 +274,3 @@ def test_the_end_abandons_a_start():
     assert at.wait(TIMEOUT_S)
     bench.close()
     assert bench.worker.failure == ""
-
-
-def test_a_worker_that_was_not_started_ends():
-    Bench().close()
