@@ -3,6 +3,7 @@
 
 import dataclasses
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -66,26 +67,20 @@ def test_a_gait_counts_as_recorded_from_its_onset_to_the_end_of_its_last_cycle(b
     (tmp_path / "empty").mkdir()
     assert not is_recorded(tmp_path / "empty")
     run = simulated_run()
-    states, tracker = run.gait_state, run.tracker
-    broken_off = dataclasses.replace(
-        run, gait_state=type(states)(**{k: v[:-1] for k, v in vars(states).items()})
-    )
-    assert not is_recorded(write_bag(tmp_path / "broken_off", broken_off))
-    half = tracker.stamp.size // 2
-    unseen = dataclasses.replace(
-        run, tracker=type(tracker)(**{k: v[:half] for k, v in vars(tracker).items()})
-    )
-    assert not is_recorded(write_bag(tmp_path / "unseen", unseen))
+    for part, kept in (("gait_state", -1), ("tracker", run.tracker.stamp.size // 2)):
+        whole = getattr(run, part)
+        begin = type(whole)(**{name: column[:kept] for name, column in vars(whole).items()})
+        assert not is_recorded(
+            write_bag(tmp_path / part, dataclasses.replace(run, **{part: begin}))
+        )
 
 
 def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
     """No node is started: none is configured."""
     nothing = dataclasses.replace(FILE, nodes={})
     reported: list[str] = []
-    orders = {"cruise": GaitCommand(GAIT, 5)}
-    run_gaits(
-        Robot(nothing, "virtual", {}), orders, bag.parent, tmp_path / "no_logs", reported.append
-    )
+    robot, orders = Robot(nothing, "virtual", {}), {"cruise": GaitCommand(GAIT, 5)}
+    run_gaits(robot, orders, bag.parent, tmp_path / "no_logs", reported.append)
     assert reported == ["cruise: recorded already"]
 
 
@@ -112,18 +107,11 @@ def test_bench_tests_that_are_interrupted_leave_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int
 ):
     code = "import pathlib, sys; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'fin.csv').touch()"
-    monkeypatch.setattr(
-        identification_runs,
-        "executable_command",
-        lambda *_: [sys.executable, "-c", f"{code}; sys.exit({status})"],
-    )
-    folder, logs = tmp_path / "campaign", tmp_path / "logs"
+    command = [sys.executable, "-c", f"{code}; sys.exit({status})"]
+    monkeypatch.setattr(identification_runs, "executable_command", lambda *_: command)
+    folder = tmp_path / "campaign"
     folder.mkdir()
-    logs.mkdir()
-    robot = Robot(FILE, "virtual", {})
-    if status == 0:
-        assert identification_runs.virtual_bench(robot, folder, logs)[1].is_file()
-    else:
-        with pytest.raises(ProcessError):
-            identification_runs.virtual_bench(robot, folder, logs)
+    with pytest.raises(ProcessError) if status else nullcontext():
+        files = identification_runs.virtual_bench(Robot(FILE, "virtual", {}), folder, tmp_path)
+        assert files[1].is_file()
     assert [path.name for path in folder.iterdir()] == ["bench_tests"] * (status == 0)
