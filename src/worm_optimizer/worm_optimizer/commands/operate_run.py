@@ -37,9 +37,9 @@ from worm_optimizer.operation.bring_up import (
     new_bag,
     once_per_cycle,
     recorded,
-    recorder_of,
 )
 from worm_optimizer.operation.processes import counted_interrupts
+from worm_optimizer.operation.system import recorder_of
 from worm_optimizer.robot_commands import GaitCommand, RunResult
 
 if TYPE_CHECKING:  # Numba loads slowly
@@ -79,7 +79,9 @@ def run(node: OperatorNode, options: argparse.Namespace) -> int:
     recording: AbstractContextManager[Path | None] = nullcontext()
     if options.record is not None:
         new = new_bag(options.record)
-        recording = recorded(node, recorder_of(node, new, options.parameters, conditions))
+        recording = recorded(
+            node, recorder_of(node.get_namespace(), new, options.parameters, conditions)
+        )
     say(f"running {command}")
     with recording as bag:
         result = attended(node, command, say)
@@ -226,7 +228,7 @@ def tune(node: OperatorNode, options: argparse.Namespace) -> int:
 
     def record(gait: Gait, number: int) -> Path:
         bag = new_bag(options.record, "tune")
-        recorder = recorder_of(node, bag, options.parameters, conditions)
+        recorder = recorder_of(node.get_namespace(), bag, options.parameters, conditions)
         with recorded(node, recorder) as path:
             result = attended(node, GaitCommand(gait, CYCLES), say)
         if not result.success:

@@ -12,7 +12,8 @@ from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OperatorNode, RejectedStartError
 from worm_optimizer.nodes.robot_client import OperatorError
-from worm_optimizer.operation.bring_up import Say, new_bag, recorded, recorder_of
+from worm_optimizer.operation.bring_up import Say, new_bag, recorded
+from worm_optimizer.operation.system import recorder_of
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.gait_request import SAME_LENGTH, GaitRequest, Objective
 
@@ -119,7 +120,8 @@ def run(
             raises no error. A rejected gait leaves no bag.
         InputError: The bag cannot be created.
     """
-    recorder = recorder_of(node, new_bag(folder), parameter_file, node.conditions())
+    bag, conditions = new_bag(folder), node.conditions()
+    recorder = recorder_of(node.get_namespace(), bag, parameter_file, conditions)
     with recorded(node, recorder) as bag:
         if why := cancellation():
             raise OperatorError(f"not started: {why}")

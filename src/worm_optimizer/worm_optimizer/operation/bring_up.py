@@ -16,7 +16,6 @@ from pathlib import Path
 from worm_model.bags.formats.finding import METADATA_FILE, TIME_FIELD
 from worm_model.errors import InputError, RecordingError
 from worm_msgs.claim import domain_of, holder
-from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.operator_node import (
     GaitFailedError,
     OperatorNode,
@@ -34,10 +33,7 @@ from worm_optimizer.operation.system import (
     DRIVER,
     RECORDER,
     NodeDescription,
-    Robot,
     System,
-    installed_system_file,
-    settings_of,
 )
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
@@ -248,7 +244,7 @@ def recorded(node: OperatorNode, recorder: NodeDescription) -> Iterator[Path]:
 
     Args:
         node: the operator.
-        recorder: description of the recorder, see `Robot.recorder` and `recorder_of`.
+        recorder: description of the recorder, see `Robot.recorder` and `system.recorder_of`.
     """
     name = f"{RECORDER}_{os.getpid()}_{time.monotonic_ns()}"  # unique among all recorders
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
@@ -267,20 +263,3 @@ def recorded(node: OperatorNode, recorder: NodeDescription) -> Iterator[Path]:
             raise
         node.rest(AFTERWARDS_S)
         group.end(name)
-
-
-def recorder_of(
-    node: OperatorNode, bag: Path, parameter_file: str, conditions: Conditions
-) -> NodeDescription:
-    """Return the description of a recorder in the namespace of a running robot.
-
-    Args:
-        node: the operator.
-        bag: path of a new bag, see `new_bag`.
-        parameter_file: parameter file to store in the bag; empty: none.
-        conditions: conditions to store in the bag.
-    """
-    file = str(Path(parameter_file).resolve()) if parameter_file else ""
-    settings = settings_of(conditions) | {"parameter_file": file}
-    robot = Robot(installed_system_file(), "robot", settings)
-    return robot.recorder(bag, node.get_namespace().strip("/"))

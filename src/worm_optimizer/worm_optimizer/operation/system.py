@@ -273,3 +273,19 @@ class Robot:
     def recorder(self, bag: Path, namespace: str = "") -> NodeDescription:
         """Return the recorder of this robot, which records into ``bag``."""
         return self.system(namespace, bag=str(bag)).node(RECORDER)
+
+
+def recorder_of(
+    namespace: str, bag: Path, parameter_file: str, conditions: Conditions
+) -> NodeDescription:
+    """Return the description of a recorder in the namespace of a running robot.
+
+    Args:
+        namespace: the robot's namespace.
+        bag: path of a new bag, see `bring_up.new_bag`.
+        parameter_file: parameter file to store in the bag; empty: none.
+        conditions: conditions to store in the bag.
+    """
+    file = str(Path(parameter_file).resolve()) if parameter_file else ""
+    settings = settings_of(conditions) | {"parameter_file": file}
+    return Robot(installed_system_file(), "robot", settings).recorder(bag, namespace.strip("/"))

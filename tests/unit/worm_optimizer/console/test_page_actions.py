@@ -31,6 +31,7 @@ def run(
         started=lambda *_: nullcontext(gait_run),
         follow=lambda *_: None,
         conditions=lambda: LEVEL,
+        get_namespace=lambda: "/worm",
     )
     for name in ("recorder_of", "new_bag"):
         monkeypatch.setattr(page_actions, name, lambda *_: None)
