@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 
 from benchmarks.report import Row
 from worm_model.gait import FORWARD, REVERSE, Gait
@@ -28,6 +29,7 @@ DOMAIN = 94
 CYCLES = 200
 CYCLES_PER_GAIT = 20
 LEFT_OUT = {"optimizer"}
+LATE = "missed_deadlines"
 SYSTEM = Path(__file__).parents[1] / "src/worm_optimizer/config/system.yaml"
 
 
@@ -62,24 +64,31 @@ def run() -> list[Row]:
         nodes = tuple(node for node in whole.nodes if node.name not in LEFT_OUT)
         start_nodes(group, System(whole.namespace, nodes))
         with operator(whole.namespace, group.check) as node:
-            node.graph.wait_for_nodes(each.name for each in nodes)
+            late: list[int] = []
+            name = f"{whole.namespace}/driver: timing"
+
+            def note(message: DiagnosticArray) -> None:
+                timing = [status.values for status in message.status if status.name == name]
+                late.extend(int(v.value) for row in timing for v in row if v.key == LATE)
+
+            node.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
+            node.wait_for_nodes(each.name for each in nodes)
             node.activate()
             started = time.monotonic()
-            samples, ends, seconds = [], [], []
+            samples, seconds = [], []
             for number in range(gaits):
                 direction = FORWARD if number % 2 == 0 else REVERSE
                 begun = node.robot_time_s
                 node.run(GaitCommand(Gait(0.07, 0.4, direction), CYCLES_PER_GAIT), lambda _: None)
                 seconds.append(node.robot_time_s - begun)
                 samples.append({n: Sample.of(p.pid) for n, p in group.processes.items()})
-                ends.append(node.late_cycles)
                 sys.stderr.write(
                     f"soak: {(number + 1) * CYCLES_PER_GAIT} cycles in {time.monotonic() - started:.0f} s\n"
                 )
             elapsed = time.monotonic() - started
             node.stop()
             node.deactivate()
-    return _rows(samples, seconds, ends, elapsed)
+    return _rows(samples, seconds, late, elapsed)
 
 
 def _rows(

@@ -14,11 +14,12 @@ from rcl_interfaces.srv import ListParameters
 from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
 from worm_msgs.goal_rejections import REJECTIONS_QOS, rejections_topic
 from worm_msgs.msg import GoalRejection
+from worm_msgs.qos import LATCHED as LATCHED
 from worm_optimizer.operation.bring_up import start_nodes
 from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
 from worm_optimizer.operation.system import installed_system_file
@@ -26,9 +27,6 @@ from worm_optimizer.operation.system import installed_system_file
 NAMESPACE = "/worm"
 TIMEOUT_S = 100.0  # long, as only a failing test waits so long
 RETRY_S = 1.0
-LATCHED = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
 
 
 def ros_arguments(namespace: str = NAMESPACE, **parameters: object) -> list[str]:
@@ -53,6 +51,11 @@ class Processes(ProcessGroup):
     ) -> Process:
         """Start an executable in the worm's namespace, with ROS parameters."""
         return self.start_executable(package, executable, *arguments, *ros_arguments(**parameters))
+
+    def operate(self, *arguments: str) -> Process:
+        """Start `operate`, which waits patiently for a driver."""
+        name, patience = f"operate_{len(self.processes)}", ("--timeout", f"{TIMEOUT_S:g}")
+        return self.start_executable("worm_optimizer", "operate", *arguments, *patience, name=name)
 
 
 class Probe:

@@ -7,17 +7,15 @@ from pathlib import Path
 
 import pytest
 from harness import TIMEOUT_S, Processes
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 DEMO_TIMEOUT_S = 240.0  # the first front on a machine takes a minute, the gait half of one
 TOPICS = {
     "/worm/joint_states": "sensor_msgs/msg/JointState",
-    "/worm/body_length/commanded": "worm_msgs/msg/BodyLength",
-    "/worm/body_length/cable": "worm_msgs/msg/BodyLength",
-    "/worm/body_length/estimated": "worm_msgs/msg/BodyLength",
-    "/worm/body_length/measured": "worm_msgs/msg/BodyLength",
+    **{
+        f"/worm/body_length/{source}": "worm_msgs/msg/BodyLength"
+        for source in ("commanded", "cable", "estimated", "measured")
+    },
     "/worm/power": "worm_msgs/msg/Power",
     "/worm/tracker": "worm_msgs/msg/Tracker",
     "/worm/gait_state": "worm_msgs/msg/GaitState",
@@ -70,26 +68,18 @@ def test_predictions_and_measurements_agree_and_nothing_keeps_running(demo):
     assert processes_with(demo["bag"]) == []
 
 
-def test_independent_readers_read_the_bag(demo):
+def test_an_independent_reader_reads_the_bag(demo):
     with AnyReader([Path(demo["bag"])]) as reader:
         assert TOPICS.items() <= {c.topic: c.msgtype for c in reader.connections}.items()
-        tracker = [c for c in reader.connections if c.topic == "/worm/tracker"]
-        positions = [
-            reader.deserialize(data, connection.msgtype).rear_position
-            for connection, _, data in reader.messages(tracker)
-        ]
-    assert len(positions) > 500
-    assert positions[-1] - positions[0] > 0.1
-    (file,) = Path(demo["bag"]).glob("*_0.mcap")
-    with file.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        summary = reader.get_summary()
-        assert summary is not None
-        assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
-        states = [
-            message.decoded_message
-            for message in reader.iter_decoded_messages(topics=["/worm/gait_state"])
-        ]
+
+        def messages(topic: str) -> list:
+            connections = [c for c in reader.connections if c.topic == topic]
+            read = reader.messages(connections)
+            return [reader.deserialize(data, connection.msgtype) for connection, _, data in read]
+
+        tracker, states = messages("/worm/tracker"), messages("/worm/gait_state")
+    assert len(tracker) > 500
+    assert tracker[-1].rear_position - tracker[0].rear_position > 0.1
     gaits = {(s.gait.stroke, s.gait.frequency) for s in states if s.state == 3}
     assert gaits == {(demo["gait"]["stroke"], demo["gait"]["frequency"])}
     assert max(s.cycle for s in states) == 5
@@ -100,7 +90,7 @@ def test_an_interrupted_demo_leaves_no_process_and_a_whole_bag(processes, tmp_pa
     """The signal is SIGTERM, which is handled like Ctrl-C with one more step (termination_as_interrupt)."""
     bags = tmp_path / "bags"
     demo = processes.start_executable("worm_optimizer", "demo", "--bags", str(bags))
-    demo.wait_for_line("cycle 1 of 5", DEMO_TIMEOUT_S)
+    demo.wait_for_line("cycle 1,", DEMO_TIMEOUT_S)
     assert len(processes_with(str(bags))) > 1
     demo.signal(signal.SIGTERM)
     assert demo.wait(TIMEOUT_S) == 1

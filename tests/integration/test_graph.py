@@ -103,17 +103,11 @@ def test_topics_services_and_actions_are_those_of_the_documentation(graph):
         }
         return {n: k for n, k in with_publisher.items() if not n.endswith("/transition_event")}
 
-    absent = (
-        "/",
-        "camera/",
-        *OF_OPERATORS,
-        *WITHOUT_TF2,
-    )  # names outside of the namespace, and no camera
+    absent = ("/", "camera/", *OF_OPERATORS, *WITHOUT_TF2)  # names elsewhere, and no camera
     topics = {name: row for name, row in rows_of("Topics").items() if not name.startswith(absent)}
     graph.wait_for(lambda: set(published()) >= set(topics), "all topics")
-    assert {n: k.replace("/msg", "") for n, k in published().items()} == {
-        name: row[0] for name, row in topics.items()
-    }
+    found = {name: kind.replace("/msg", "") for name, kind in published().items()}
+    assert found == {name: row[0] for name, row in topics.items()}
     for name, row in topics.items():
         latched = "transient local" in row[3]
         for info in node.get_publishers_info_by_topic(name):
@@ -127,15 +121,13 @@ def test_topics_services_and_actions_are_those_of_the_documentation(graph):
     graph.wait_for(lambda: set(own(node.get_service_names_and_types())) >= wanted, "all services")
     every = own(node.get_service_names_and_types())
     goals = {n.removesuffix("/_action/send_goal"): k for n, k in every.items() if "send_goal" in n}
-    assert {n: k.replace("/action", "").removesuffix("_SendGoal") for n, k in goals.items()} == {
-        name: row[0] for name, row in actions.items()
-    }
-    plain = {n: k for n, k in every.items() if "/_action" not in n and "driver/change" not in n}
-    plain = {n: k for n, k in plain.items() if not COMMON_SERVICES.search(f"/{n}")}
-    plain = {n: k for n, k in plain.items() if n != "driver/get_state"}
-    assert {n: k.replace("/srv", "") for n, k in plain.items()} == {
-        name: row[0] for name, row in services.items()
-    }
+    goals = {n: k.replace("/action", "").removesuffix("_SendGoal") for n, k in goals.items()}
+    assert goals == {name: row[0] for name, row in actions.items()}
+    others = re.compile(
+        f".*({COMMON_SERVICES.pattern})|.*/_action.*|driver/(change_state|get_state)"
+    )
+    plain = {n: k.replace("/srv", "") for n, k in every.items() if not others.fullmatch(n)}
+    assert plain == {name: row[0] for name, row in services.items()}
 
 
 def test_every_status_belongs_to_one_group_of_the_diagnostic_aggregator(graph):

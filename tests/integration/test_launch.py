@@ -14,12 +14,11 @@ from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_share_directory
+from commander import Commander
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import LATCHED
-from lifecycle_msgs.msg import State, Transition, TransitionEvent
-from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import GetState
 
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
@@ -52,23 +51,6 @@ def robot(name):
 
 def generate_launch_description():
     return LaunchDescription([robot("left"), robot("right")])
-"""
-GROUP = """
-from launch import LaunchDescription
-from launch.actions import GroupAction, IncludeLaunchDescription, SetEnvironmentVariable
-from launch.substitutions import PathJoinSubstitution
-from launch_ros.actions import SetParameter, SetRemap
-from launch_ros.substitutions import FindPackageShare
-
-def generate_launch_description():
-    path = PathJoinSubstitution([FindPackageShare("worm_optimizer"), "launch", "worm.launch.py"])
-    given = {{"mode": "virtual", "directory": "{folder}/robot", "bag": "{folder}/bag"}}
-    return LaunchDescription([GroupAction([
-        SetRemap("power", "supply"),
-        SetParameter("use_sim_time", False),
-        SetEnvironmentVariable("WORM_TEST", "set"),
-        IncludeLaunchDescription(path, launch_arguments=given.items()),
-    ])])
 """
 
 
@@ -126,13 +108,10 @@ def test_after_one_failure_a_robot_is_its_operators(launched, probe, processes, 
     launch.wait_for_line("waiting for configure: ", START_S)
     assert state_of(probe) == State.PRIMARY_STATE_UNCONFIGURED
 
-    text = ParameterValue(
-        type=ParameterType.PARAMETER_STRING, string_value=str(tmp_path / "robot" / "servo_bus")
-    )
-    request = SetParameters.Request(parameters=[Parameter(name="port", value=text)])
-    assert probe.call(SetParameters, "/worm/driver/set_parameters", request).results[0].successful
-    change = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
-    assert probe.call(ChangeState, "/worm/driver/change_state", change).success
+    commander = Commander(probe)
+    port = str(tmp_path / "robot" / "servo_bus")
+    assert commander.set_parameter("port", port).successful
+    assert commander.change(Transition.TRANSITION_CONFIGURE)
     reports = probe.collect(DiagnosticArray, "/diagnostics")
     probe.wait_for(
         lambda: sum(s.name == "worm/driver: gait" for r in reports for s in r.status) >= 5,
@@ -230,41 +209,6 @@ def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, p
     assert "driver has ended with exit status -9" in launch.output()
     assert "torque may be on" not in launch.output()  # of a virtual robot
     assert not any(map(runs, pids(launch.output()).values()))
-
-
-@pytest.mark.night
-def test_a_second_graph_ends_before_it_publishes_or_commands_anything(launched, probe, tmp_path):
-    first = launched(*virtual(tmp_path))
-    wait_for_active(probe)
-    seen = probe.collect(TransitionEvent, "/worm/driver/transition_event")
-    second = launched(*virtual(tmp_path / "second"), name="second")
-    assert second.wait(START_S) == 1
-    robot = pids(first.output())["virtual_robot"]
-    assert f"/worm has a virtual robot or player already, process {robot} " in second.output()
-    assert not any(map(runs, pids(second.output()).values()))
-    assert state_of(probe) == State.PRIMARY_STATE_ACTIVE
-    assert seen == []
-    first.interrupt()
-    assert first.wait(START_S) == 0
-
-
-@pytest.mark.night
-def test_settings_of_an_including_group_reach_all_nodes(launched, probe, tmp_path):
-    file = tmp_path / "group.launch.py"
-    file.write_text(GROUP.format(folder=tmp_path))
-    launch = launched(file=(str(file),))
-    wait_for_active(probe)
-    nodes = pids(launch.output())
-    assert nodes.keys() >= {"virtual_robot", "recorder", "twin", "optimizer", "driver"}
-    for name, pid in nodes.items():
-        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
-        assert {"power:=supply", "use_sim_time:=False"} <= set(words), name
-        assert "WORM_TEST=set" in Path(f"/proc/{pid}/environ").read_text().split("\0"), name
-    probe.wait_for(lambda: probe.node.count_subscribers("/worm/supply") > 0, "twin", START_S)
-    assert probe.node.count_publishers("/worm/supply") == 1
-    assert probe.node.count_publishers("/worm/power") == 0
-    launch.interrupt()
-    assert launch.wait(START_S) == 0
 
 
 @pytest.mark.parametrize(

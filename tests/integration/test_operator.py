@@ -2,23 +2,17 @@
 """Calls of the operator when responses get lost; the services are fakes."""
 
 import pytest
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
-from harness import LATCHED
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.action import ActionServer
 from rclpy.task import Future
 
-from worm_driver.control.diagnostics import DiagnosticReport, Level
-from worm_driver.nodes import driver_messages
 from worm_model.gait import Gait
 from worm_msgs.action import RunGait
-from worm_msgs.msg import GaitState
-from worm_optimizer.nodes import robot_graph, service_caller
+from worm_optimizer.nodes import robot_client
 from worm_optimizer.nodes.operator_node import operator
-from worm_optimizer.nodes.service_caller import OperatorError
-from worm_optimizer.robot_commands import GaitCommand, RunResult
+from worm_optimizer.nodes.robot_client import OperatorError
+from worm_optimizer.robot_commands import GaitCommand
 
 
 class Service:
@@ -50,7 +44,7 @@ class Service:
 @pytest.fixture
 def node(monkeypatch, ros_domain):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(ros_domain))
-    monkeypatch.setattr(service_caller, "CALL_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(robot_client, "CALL_TIMEOUT_S", 0.1)
     with operator("/worm", lambda: None) as node:
         yield node
 
@@ -80,14 +74,14 @@ def test_an_invalid_domain_is_reported(monkeypatch):
 
 def test_a_call_that_changes_nothing_more_is_made_again_by_the_same_client(node, services):
     made = services(lost=1)
-    node.activate()  # the driver is active: only its state is requested
+    node.activate()  # the driver is active: only its state is requested, three times
     node.stop()
     node.stop()
     assert {name: len(clients) for name, clients in made.items()} == {
         "driver/get_state": 1,
         "stop": 1,
     }
-    assert made["driver/get_state"][0].calls == 2
+    assert made["driver/get_state"][0].calls == 4
     assert made["stop"][0].calls == 3
 
 
@@ -105,74 +99,25 @@ def test_a_transition_is_not_requested_twice(node, services):
     assert made["driver/change_state"][0].calls == 1
 
 
-def test_it_receives_the_late_cycles_of_its_own_driver(node, probe):
-    def diagnostics(robot: str, late: int) -> DiagnosticArray:
-        timing = DiagnosticReport(
-            "driver: timing", Level.OK, "", values=(("missed_deadlines", str(late)),)
-        )
-        return driver_messages.diagnostics([timing], Time(), robot)
-
-    publisher = probe.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-
-    def is_counted() -> bool:
-        publisher.publish(diagnostics("worm", 31))
-        publisher.publish(diagnostics("robot7", 99))
-        node.rest(0.05)
-        return node.late_cycles > 0
-
-    probe.wait_for(is_counted, "word of late cycles")
-    assert node.late_cycles == 31
-
-
-def test_runs_of_other_clients_are_counted(node, probe, monkeypatch):
-    states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
-
-    class Run:
-        """Run that ends at once, after the driver has published its number."""
-
-        done, progress, received_at = True, None, 0.0
-        result = RunResult(Gait(0.05, 0.2), True, "", 1, 1, *[0.0] * 6)
-
-        def close(self) -> None: ...
-
-    def reported(number: int, others: int) -> None:
-        def is_counted() -> bool:
-            states.publish(GaitState(run=number))
-            node.rest(0.05)
-            return node.runs_of_others == others
-
-        probe.wait_for(is_counted, f"run {number}")
-
-    def begin(order) -> Run:
-        reported(2, 2)  # until this run has ended, its number counts as another client's
-        return Run()
-
-    reported(1, 1)
-    monkeypatch.setattr(node, "begin", begin)
-    node.run(GaitCommand(Gait(0.05, 0.2), cycles=1), lambda _: None)
-    assert node.runs_of_others == 1
-
-
 @pytest.mark.parametrize(
     ("command", "state"),
     [
-        (lambda node: node.configure(), State.PRIMARY_STATE_UNCONFIGURED),
         (lambda node: node.activate(), State.PRIMARY_STATE_INACTIVE),
         (lambda node: node.deactivate(), State.PRIMARY_STATE_ACTIVE),
         (lambda node: node.home(), State.PRIMARY_STATE_INACTIVE),
         (lambda node: node.reboot(), State.PRIMARY_STATE_INACTIVE),
         (
-            lambda node: node.begin(GaitCommand(Gait(0.05, 0.2), cycles=1)),
+            lambda node: node.run(GaitCommand(Gait(0.05, 0.2), cycles=1), print),
             State.PRIMARY_STATE_ACTIVE,
         ),
     ],
-    ids=["configure", "activate", "deactivate", "home", "reboot", "run"],
+    ids=["activate", "deactivate", "home", "reboot", "run"],
 )
 def test_nothing_is_sent_that_two_drivers_would_execute(
     node, probe, services, monkeypatch, command, state
 ):
-    monkeypatch.setattr(robot_graph, "ANNOUNCED_S", 0.1)
-    monkeypatch.setattr(node, "_state", lambda _: State(id=state))
+    monkeypatch.setattr(robot_client, "ANNOUNCED_S", 0.1)
+    monkeypatch.setattr(node, "_state", lambda: State(id=state))
     made = services(lost=0)
     for _ in range(2):
         ActionServer(probe.node, RunGait, "run_gait", lambda _: None)

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from worm_model.errors import InputError
-from worm_model.gait import Gait, Profile
+from worm_model.gait import Gait
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.data.records import ResidualRecord, StateRecord
+from worm_model.twin.data.records import Health, StateRecord
 from worm_model.twin.scene import PositionSample
 
 MOST_CYCLES = 1000  # largest number of cycles or grooves of a run; the driver limits only cycles
@@ -47,22 +47,17 @@ class GaitCommand:
 
     def __str__(self) -> str:
         gait = self.gait
+        parts = [f"stroke {1e3 * gait.stroke:.1f} mm", f"frequency {gait.frequency:.3f} Hz"]
+        if not gait.is_sinusoid:
+            parts.append(f"pretension {1e3 * gait.pretension:.1f} mm")
+            parts.append(f"contraction share {gait.contraction_share:g}, {gait.profile}")
+        parts.append("forward" if gait.direction > 0 else "reverse")
         ends = (
             (self.cycles, f"{self.cycles} cycles"),
             (self.grooves, f"{self.grooves} grooves"),
             (self.distance, f"{1e3 * self.distance:g} mm"),
         )
-        trapezoid = gait.profile is Profile.TRAPEZOID
-        parts = (
-            (True, f"stroke {1e3 * gait.stroke:.1f} mm"),
-            (True, f"frequency {gait.frequency:.3f} Hz"),
-            (gait.pretension, f"pretension {1e3 * gait.pretension:.1f} mm"),
-            (gait.contraction_share != 0.5, f"contraction share {gait.contraction_share:g}"),
-            (trapezoid, f"trapezoid with ramp share {gait.ramp_share:g}"),
-            (True, "forward" if gait.direction > 0 else "reverse"),
-            (True, " or ".join(text for given, text in ends if given)),
-        )
-        return ", ".join(text for shown, text in parts if shown)
+        return ", ".join([*parts, " or ".join(text for given, text in ends if given)])
 
 
 @dataclass(frozen=True)
@@ -104,14 +99,14 @@ class RunResult:
     gait: Gait
     success: bool
     message: str
-    cycles_completed: int
-    cycles_averaged: int
-    grooves: float
-    distance: float
-    speed: float
-    power: float
-    cost_of_transport: float
-    idle_power: float
+    cycles_completed: int = 0
+    cycles_averaged: int = 0
+    grooves: float = math.nan
+    distance: float = math.nan
+    speed: float = math.nan
+    power: float = math.nan
+    cost_of_transport: float = math.nan
+    idle_power: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -131,8 +126,6 @@ class DriverState:
         direction: direction of the gait, FORWARD or REVERSE.
         holding: True from a stop until the operator starts a run or deactivates the driver.
         message: reason of the state.
-        stamp_ns: stamp of the message.
-        onset_ns: stamp of the gait's onset; 0 without one.
     """
 
     state: Activity
@@ -146,8 +139,6 @@ class DriverState:
     direction: int
     message: str
     holding: bool = False
-    stamp_ns: int = 0
-    onset_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -157,7 +148,8 @@ class Snapshot:
     Attributes:
         driver: state of the driver.
         twin: state of the twin.
-        residuals: residuals of the twin; NaN where no sensor measures them.
+        health: health of the robot according to the twin.
+        health_message: cause of the health; empty without one.
         robot: latest sample of the tracker.
         robot_at_twin: sample of the tracker that is nearest to the stamp of ``twin``.
         lengths: body lengths by source, m.
@@ -168,7 +160,8 @@ class Snapshot:
 
     driver: DriverState | None = None
     twin: StateRecord | None = None
-    residuals: ResidualRecord | None = None
+    health: Health | None = None
+    health_message: str = ""
     robot: PositionSample = field(default_factory=PositionSample)
     robot_at_twin: PositionSample = field(default_factory=PositionSample)
     lengths: Mapping[LengthSource, float] = field(default_factory=dict)

@@ -11,14 +11,8 @@ from harness import Processes
 
 axe_playwright = pytest.importorskip("axe_playwright_python.sync_playwright", reason=NEEDED)
 pytestmark = [*NEEDS_BROWSER, pytest.mark.xdist_group("console pages")]
-LARGEST_SHIFT = 0.1  # sum over all pages; a page counts as stable below it (web.dev/cls)
 LARGEST_BAR = 0.12  # share of a phone's height for state and STOP
 PHONE = {"width": 390, "height": 844}
-OBSERVE_SHIFTS = """
-window.shifts = {sum: 0, observed: PerformanceObserver.supportedEntryTypes.includes("layout-shift")};
-new PerformanceObserver((list) => list.getEntries().forEach((shift) => shifts.sum += shift.value))
-  .observe({type: "layout-shift", buffered: true});
-"""
 
 
 @pytest.fixture(scope="module")
@@ -68,20 +62,6 @@ def test_no_tab_violates_the_rules_of_accessibility(page: "sync_api.Page", conso
                 box.click()
             assert violations() == []
             press(page, "Light or dark")
-
-
-def test_no_tab_shifts_what_a_person_looks_at(page: "sync_api.Page", console: Console):
-    """Shifts after a click count, too, although the browser's own sum excludes them."""
-    expect = sync_api.expect
-    page.add_init_script(OBSERVE_SHIFTS)
-    console.open(page)
-    page.get_by_role("tab", name="Recordings").click()
-    page.get_by_role("checkbox", name="Select forward").click()
-    page.get_by_role("tab", name="Cockpit").click()
-    expect(page.get_by_role("img", name="no data of the twin")).to_be_visible()
-    press(page, "Light or dark")
-    assert page.evaluate("shifts.observed")
-    assert page.evaluate("shifts.sum") < LARGEST_SHIFT
 
 
 def test_on_a_phone_state_and_stop_stay_in_view_and_leave_room(

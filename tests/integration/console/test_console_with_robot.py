@@ -106,7 +106,9 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     page.get_by_role("tab", name="Recordings").click()
     row = page.get_by_role("row", name=re.compile("run_"))
     row.get_by_role("checkbox").click()
-    page.get_by_role("textbox", name="Search").fill("no such run")
+    for words, count in (("no such run", 0), ("run_", 1)):
+        page.get_by_role("textbox", name="Search").fill(words)
+        expect(row).to_have_count(count)
     expect(row.get_by_role("checkbox")).to_be_checked()
     page.get_by_role("button", name="Open report").click()
     report = page.frame_locator('iframe[title="Report"]')
@@ -115,9 +117,6 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     with page.expect_download() as download:
         page.get_by_role("button", name="Download").click()
     assert download.value.suggested_filename == f"{next(console.bags.glob('run_*[0-9]')).name}.zip"
-    row.get_by_role("checkbox").click()
-    page.get_by_role("textbox", name="Search").fill("no such run either")
-    expect(row).to_have_count(0)
 
 
 def test_on_a_phone_a_gait_in_numbers_is_predicted_run_and_stopped_with_the_keyboard_alone(
@@ -137,11 +136,9 @@ def test_on_a_phone_a_gait_in_numbers_is_predicted_run_and_stopped_with_the_keyb
     expect(predicted(page).nth(2)).not_to_have_text(str(speed))
     run = page.get_by_role("button", name="Run", exact=True)
     stroke = page.get_by_label("stroke, mm")
-    stroke.fill("500")
-    expect(page.get_by_text(re.compile("Run is not possible:.*500 mm"))).to_be_visible()
-    expect(run).to_be_disabled()
     stroke.fill("0")
-    expect(page.get_by_text(re.compile("Run is not possible:.*more than 0"))).to_be_visible()
+    expect(page.get_by_text(re.compile("Run is not possible: stroke.*above 0"))).to_be_visible()
+    expect(run).to_be_disabled()
     expect(predicted(page).nth(2)).to_have_text("–")  # that of the former stroke has gone
     stroke.fill("70")
     expect(page.get_by_text("probability, if the model is right")).to_be_visible()

@@ -10,8 +10,9 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,23 +31,17 @@ from worm_model.text_table import labelled
 from worm_optimizer.commands.report import add_identification
 from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
 from worm_optimizer.commands.start import add_robot, robot_of
-from worm_optimizer.commands.tune import PROBABILITY
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
 
 if TYPE_CHECKING:
-    from worm_model.gait import Gait
-    from worm_optimizer.gait_prediction import Prediction
-    from worm_optimizer.operation.campaign_plan import Plan, Spread
-    from worm_optimizer.operation.campaign_runs import Measure, Prepare
+    from worm_optimizer.operation.campaign_runs import Prepare
     from worm_optimizer.report.recorded_gait import RecordedGait
 
 _MODES = ("virtual", "robot")
-_GAITS = 3  # gaits of a plan without comparisons; with more runs than this, the spread is drawn
-SPREAD_FIGURE = "spread.png"
 SAME_PLACE = "Put the robot where the first run began: same grooves, fins straight"
 
 
@@ -83,8 +78,7 @@ def _parser() -> Parser:
         type=int,
         default=1,
         metavar="N",
-        help="runs of each gait (default: 1); their spread is printed, and drawn in spread.png if the campaign has "
-        "more than three runs in total",
+        help="runs of each gait (default: 1); their spread is printed",
     )
     add(
         "--with-nominal",
@@ -98,13 +92,6 @@ def _parser() -> Parser:
         "identified parameters and a report. Then validate these parameters with their robust and nominal gaits. "
         "On a real robot, the "
         "command prompts before each run. --bellows and --fin are the files of the bench tests",
-    )
-    add(
-        "--tune",
-        action="store_true",
-        help="first run each of the three gaits, measure its margin, and repeat with the next gait, at most five runs, "
-        f"until a cycle keeps its grooves with --probability (here by default {PROBABILITY}). Then validate the tuned "
-        "gaits",
     )
     add("--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N")
     add("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
@@ -127,13 +114,14 @@ def _campaign(options: argparse.Namespace) -> int:
     say = ProgressLog("campaign")
     try:
         with termination_as_interrupt(), work_folder("campaign") as work:
-            campaign = _Campaign(options, robot.in_folder(work), folder, work / "logs", say)
+            robot = replace(robot, settings={"directory": str(work), **robot.settings})
+            campaign = _Campaign(options, robot, folder, work / "logs", say)
             names = campaign.run()
     except FAILURES as error:
-        sys.stderr.write(f"campaign: {error}\n{_hint(options, folder)}")
+        sys.stderr.write(f"campaign: {error}\n{_hint(folder)}")
         return FAILED
     except KeyboardInterrupt:
-        sys.stderr.write(_hint(options, folder))
+        sys.stderr.write(_hint(folder))
         raise
     say("comparing")
     campaign.compare(names)
@@ -180,91 +168,49 @@ class _Campaign:
     ) -> None:
         self._options, self._robot, self._folder = options, robot, folder
         self._logs, self._say = logs, say
-        self._summary: dict[str, Any] = {}  # of identification and tuning, for the output
+        self._summary: dict[str, Any] = {}  # of the identification, for the output
         self._prompts = options.identify and options.mode == "robot"
 
     def run(self) -> dict[str, str]:
-        """Identify the robot and tune its gaits as requested, then run all gaits.
+        """Identify the robot if requested, then run all gaits.
 
         Return the name of the gait of each run, by the name of the run.
         """
-        from worm_optimizer.operation.campaign_plan import promise, run_names
-        from worm_optimizer.operation.campaign_runs import run_gaits
+        from worm_optimizer.operation.campaign_plan import make_plan, promise, run_names
+        from worm_optimizer.operation.campaign_runs import at_once, run_gaits
 
         options = self._options
         if options.identify:
             self._identify()
-        self._content = load_parameter_file(options.parameters)
-        self._settings = replace(chosen_settings(options), conditions=self._robot.conditions)
-        self._plan = self._planned()
-        ask = _prompt("Put the robot where it has room") if self._prompts else _at_once
-        if options.tune:
-            self._tune(ask)
+        content = load_parameter_file(options.parameters)
+        settings = replace(chosen_settings(options), conditions=self._robot.conditions)
+        nominal = options.with_nominal or options.identify
+        self._plan = make_plan(content, settings, options.direction, nominal=nominal)
+        ask = _prompt("Put the robot where it has room") if self._prompts else at_once
         promise(self._plan, self._folder)
         names = run_names(tuple(self._plan.gaits), options.repeats)
         orders = {
             run: GaitCommand(self._plan.gaits[name].gait, CYCLES) for run, name in names.items()
         }
-        logs = self._logs_of("validation")
-        run_gaits(self._robot, orders, self._folder, logs, self._say, ask)
+        run_gaits(self._robot, orders, self._folder, self._logs, self._say, ask)
         return names
-
-    def _logs_of(self, stage: str) -> Path:
-        (self._logs / stage).mkdir()
-        return self._logs / stage
-
-    def _planned(self) -> Plan:
-        """Return the plan of the validation: three gaits of the exact front, and the gaits to compare them with."""
-        from worm_optimizer.operation.campaign_plan import make_plan, with_comparisons
-
-        given = self._content, self._settings, self._options.direction
-        nominal = self._options.with_nominal or self._options.identify
-        return with_comparisons(make_plan(*given), *given, nominal=nominal)
-
-    def _tune(self, ask: Prepare) -> None:
-        """Tune the three gaits of the plan on the robot, and predict the tuned gaits."""
-        from worm_optimizer.commands.tune import Aim, measured_step, tuned_json
-        from worm_optimizer.operation.campaign_runs import tune_gaits
-        from worm_optimizer.robustness.tuning import limits_of
-        from worm_optimizer.search.front import predicted_gaits, task_of
-
-        options, plan = self._options, self._plan
-        limits = limits_of(task_of(self._content, self._settings, options.direction))
-
-        def first(gait: Prediction) -> tuple[Gait, Measure]:
-            grooves = round(gait.grooves_per_cycle)
-            aim = Aim(options.probability or PROBABILITY, grooves, limits, options.parameters)
-            return gait.gait, lambda bags: measured_step(bags, aim, self._say)
-
-        three = {name: first(gait) for name, gait in plan.optimisation.front.three.items()}
-        logs = self._logs_of("tuning")
-        tuned = tune_gaits(self._robot, three, self._folder, logs, self._say, ask)
-        steps = {name: each.step.gait for name, each in tuned.items()}
-        gaits = predicted_gaits(steps, self._content, self._settings)
-        self._plan = replace(plan, gaits={**plan.gaits, **gaits})
-        self._summary["tuning"] = {name: tuned_json(each) for name, each in tuned.items()}
 
     def _identify(self) -> None:
         """Record the missing runs, identify the parameters unless the results exist, and use the parameters."""
         from worm_optimizer.operation import identification_runs
-        from worm_optimizer.operation.campaign_runs import put_aside
+        from worm_optimizer.operation.campaign_runs import put_aside, run_gaits
 
         options, folder, say = self._options, self._folder, self._say
         known = load_parameter_file(options.parameters)
-        folder.mkdir(parents=True, exist_ok=True)
-        orders = identification_runs.identification_orders(
-            options.direction, known.parameters.pitch
-        )
-        logs = self._logs_of("identification")
+        runs = folder / identification_runs.RUNS
+        runs.mkdir(parents=True, exist_ok=True)
+        pitch = known.parameters.pitch
+        orders = identification_runs.identification_orders(options.direction, pitch)
         ask = _prompt(SAME_PLACE) if self._prompts else identification_runs.put_back
-        bags = identification_runs.record_identification(
-            self._robot, orders, folder, logs, say, ask
-        )
-        report, parameters, summary = (
-            folder / identification_runs.REPORT,
-            folder / identification_runs.PARAMETERS,
-            folder / identification_runs.SUMMARY,
-        )
+        run_gaits(self._robot, orders, runs, self._logs, say, ask)
+        bags = [runs / name for name in orders]
+        report, summary = folder / identification_runs.REPORT, folder / identification_runs.SUMMARY
+        parameters = folder / identification_runs.PARAMETERS
         if not summary.exists():
             for left in (report, parameters):
                 put_aside(left, say)  # incomplete results of an interrupted identification
@@ -281,12 +227,14 @@ class _Campaign:
         self._summary |= {"parameter_file": str(parameters), "bags": [str(b) for b in bags]}
         options.parameters = str(parameters)
         options.identification = str(parameters)
-        self._robot = self._robot.with_parameters(options.parameters)
+        settings = {**self._robot.settings, "parameter_file": options.parameters}
+        self._robot = replace(self._robot, settings=settings)
 
     def compare(self, names: Mapping[str, str]) -> None:
         """Write the report on the runs, whose gaits ``names`` contains by run, and print it."""
-        from worm_optimizer.operation.campaign_plan import draw_spread, spread
+        from worm_optimizer.operation.campaign_plan import spread_table
         from worm_optimizer.operation.campaign_runs import put_aside
+        from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
         from worm_optimizer.report.recordings import read_recorded_gaits
         from worm_optimizer.report.report_page import Report, build_report
 
@@ -295,53 +243,29 @@ class _Campaign:
         recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
         title = f"Validation campaign ({options.mode} robot)"
         report = Report(title, recorded, plan.optimisation, identification=options.identification)
-        spreads = [
-            spread(
-                name,
-                promise,
-                [r for run, r in zip(names, recorded, strict=True) if names[run] == name],
-            )
-            for name, promise in plan.gaits.items()
-        ]
         put_aside(self._folder / "report", self._say)
         page = build_report(report, self._folder / "report")
-        if len(recorded) > _GAITS:
-            draw_spread(self._folder / SPREAD_FIGURE, spreads)
-        self._print(recorded, spreads, page)
-
-    def _print(self, gaits: Sequence[RecordedGait], spreads: Sequence[Spread], page: Path) -> None:
-        from worm_optimizer.operation.campaign_plan import spread_table
-        from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
-
-        judged = agreement_json(gaits)
-        content = {
-            "folder": str(self._folder),
-            "page": str(page),
-            **judged,
-            "spread": [asdict(row) for row in spreads],
-        }
-        content["gaits"] = [
+        judged = agreement_json(recorded)
+        gaits = [
             {
                 **{name: row[name] for name in ("name", "agrees", "verdict", "grooves")},
-                "measured": _values(row["measured"]),
-                "expected": _values(row["expected"]),
+                **{
+                    source: {key: band["value"] for key, band in row[source].items()}
+                    for source in ("measured", "expected")
+                },
                 "nominal": {key: getattr(gait.expected.nominal, key) for key in QUANTITIES},
             }
-            for row, gait in zip(judged["runs"], gaits, strict=True)
+            for row, gait in zip(judged["runs"], recorded, strict=True)
         ]
+        places = {"folder": str(self._folder), "page": str(page)}
+        runs: dict[str, list[RecordedGait]] = defaultdict(list)
+        for name, gait in zip(names.values(), recorded, strict=True):
+            runs[name].append(gait)
         files = {"recordings": self._folder, "report": page}
         if "parameter_file" in self._summary:
             files = {"parameters": self._summary["parameter_file"], **files}
-        text = f"{describe(gaits)}\n\n{spread_table(spreads)}\n\n{labelled(files)}"
-        print_result(self._options, content | self._summary, text)
-
-
-def _values(bands: dict[str, Any]) -> dict[str, float]:
-    return {quantity: band["value"] for quantity, band in bands.items()}
-
-
-def _at_once(_running: Session, _text: str) -> None:
-    """Do nothing before a run."""
+        text = f"{describe(recorded)}\n\n{spread_table(plan.gaits, runs)}\n\n{labelled(files)}"
+        print_result(options, {**places, **judged, "gaits": gaits, **self._summary}, text)
 
 
 def _prompt(instruction: str) -> Prepare:
@@ -360,15 +284,14 @@ def _prompt(instruction: str) -> Prepare:
 
 def _folder(options: argparse.Namespace) -> Path:
     """Return the folder for bags and report. Raises InputError."""
-    from worm_optimizer.operation.campaign_plan import PROMISES
     from worm_optimizer.report.report_page import PAGE
 
     if options.resume is not None:
         if options.output is not None:
             raise InputError("--resume names the folder: remove --output")
         resumed: Path = options.resume.resolve()
-        if not _is_begun(options, resumed):
-            raise InputError(f"{resumed}: contains no campaign ({PROMISES} is missing)")
+        if not _is_begun(resumed):
+            raise InputError(f"{resumed}: contains no campaign")
         if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete and contains its report")
         return resumed
@@ -381,19 +304,17 @@ def _folder(options: argparse.Namespace) -> Path:
     return folder
 
 
-def _is_begun(options: argparse.Namespace, folder: Path) -> bool:
+def _is_begun(folder: Path) -> bool:
     """Return True if a folder contains a campaign that can be continued."""
     from worm_optimizer.operation.campaign_plan import PROMISES
-    from worm_optimizer.operation.campaign_runs import TUNING
     from worm_optimizer.operation.identification_runs import RUNS
 
-    identified = options.identify and (folder / RUNS).is_dir()
-    return (folder / PROMISES).is_file() or identified or (folder / TUNING).is_dir()
+    return (folder / PROMISES).exists() or (folder / RUNS).exists()
 
 
-def _hint(options: argparse.Namespace, folder: Path) -> str:
+def _hint(folder: Path) -> str:
     """Return a line on how to continue an interrupted campaign; empty if nothing has begun."""
-    return f"campaign: continue with --resume {folder}\n" if _is_begun(options, folder) else ""
+    return f"campaign: continue with --resume {folder}\n" if _is_begun(folder) else ""
 
 
 main = executable(_parser, _campaign)

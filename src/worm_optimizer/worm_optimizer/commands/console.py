@@ -9,8 +9,9 @@ import os
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, executable, number
@@ -19,7 +20,7 @@ from worm_optimizer.commands.start import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import Check, ProgressLog, Say, session, work_folder
 from worm_optimizer.operation.processes import counted_interrupts
-from worm_optimizer.operation.system import RESTARTS
+from worm_optimizer.operation.system import RESTARTS, System
 
 PORT = 8080
 CONTROL_TIMEOUT_S = 5.0  # default of --control-timeout
@@ -84,8 +85,12 @@ def _console(options: argparse.Namespace) -> int:
 
     namespace = "/" + options.namespace.strip("/")
     name = f"console_{os.getpid()}"
+    robot = robot_of(options, "virtual" if options.virtual else "robot")
+    system = robot.system(namespace.strip("/"))
     worker = RobotWorker(
-        _robot_opener(options, namespace, name),
+        partial(_started, system)
+        if options.virtual
+        else lambda _say, check: operator(namespace, check, name),
         lambda check: operator(namespace, check, f"{name}_stop"),
         notify,
     )
@@ -103,34 +108,16 @@ def _console(options: argparse.Namespace) -> int:
     return FAILED if worker.failure else 0
 
 
-def _robot_opener(
-    options: argparse.Namespace, namespace: str, name: str
-) -> Callable[[Say, Check], AbstractContextManager[OperatorNode]]:
-    """Return a function that opens an operator node, and with --virtual starts the node graph first.
-
-    Args:
-        options: command line.
-        namespace: the robot's namespace.
-        name: name of the operator node that connects to a running graph.
-    """
-    robot = robot_of(options, "virtual" if options.virtual else "robot")
-    system = robot.file.system(robot.mode, namespace.strip("/"), **robot.settings)
-
-    @contextmanager
-    def opened(say: Say, check: Check) -> Iterator[OperatorNode]:
-        if options.virtual:
-            with (
-                work_folder("console") as work,
-                session(system, work / "logs", say, RESTARTS, check) as running,
-            ):
-                running.node.activate()
-                say("all nodes run")
-                yield running.node
-        else:
-            with operator(namespace, check, name) as node:
-                yield node
-
-    return opened
+@contextmanager
+def _started(system: System, say: Say, check: Check) -> Iterator[OperatorNode]:
+    """Start the node graph of a virtual robot, activate its driver, and provide an operator node."""
+    with (
+        work_folder("console") as work,
+        session(system, work / "logs", say, RESTARTS, check) as running,
+    ):
+        running.node.activate()
+        say("all nodes run")
+        yield running.node
 
 
 def _check_control_timeout(timeout_s: float) -> None:

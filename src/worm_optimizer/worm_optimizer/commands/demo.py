@@ -15,7 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from worm_model.commands.command_line import FAILED, Parser, notifier, print_result, run_command
+from worm_model.commands.command_line import FAILED, Parser, executable, notifier, print_result
 from worm_model.errors import RecordingError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled, text_table
@@ -35,11 +35,6 @@ _QUANTITIES = {
     "power": (1.0, "{:.2f} W"),
     "cost_of_transport": (1.0, "{:.1f}"),
 }
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the demo, and return the exit status: 0 after success, 1 if a stage failed, or 2 for bad input."""
-    return run_command(_parser(), _demo, arguments)
 
 
 def _parser() -> Parser:
@@ -91,28 +86,24 @@ def _drive(options: argparse.Namespace, bag: Path, say: bring_up.Say) -> tuple[P
         settings = {
             "directory": str(folder),
             "bag": str(bag),
-            "parameter_file": _absolute(options.parameters),
-            "plant": _absolute(options.plant),
             "seed": str(options.seed),
             "rate": "2",  # times real time, for a short demo
         }
+        files = {"parameter_file": options.parameters, "plant": options.plant}
+        settings |= {name: str(Path(file).resolve()) for name, file in files.items() if file}
         system = installed_system_file().system("virtual", **settings)
         with bring_up.session(system, folder / "logs", say) as running:
             node, cycles = running.node, bring_up.CYCLES
-            prediction = node.request_gait(GaitRequest(Objective.CRUISE))
+            prediction, _ = node.request_gait(GaitRequest(Objective.CRUISE))
             gait = prediction.gait
             say(f"the optimizer answers: {_title(prediction)}")
             bag = bring_up.bag_of(running.group.processes[RECORDER])
             running.activate()
-            node.graph.wait_for_recorder(RECORDER)
+            node.wait_for_recorder(RECORDER)
             say(f"running {cycles} cycles, {cycles / gait.frequency:.0f} s of the robot's time")
             running.run_gait(GaitCommand(gait, cycles))
             running.release()
         return prediction, bag
-
-
-def _absolute(path: str) -> str:
-    return str(Path(path).resolve()) if path else ""
 
 
 def _title(prediction: Prediction) -> str:
@@ -184,3 +175,6 @@ def _cells(values: Mapping[str, float], measured: Mapping[str, float]) -> Iterat
         yield shown.format(scale * values[name])
         difference = (values[name] - measured[name]) / abs(measured[name])
         yield "" if values is measured else f"{100.0 * difference:+.1f} %"
+
+
+main = executable(_parser, _demo)

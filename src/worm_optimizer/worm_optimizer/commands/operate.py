@@ -7,9 +7,8 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
-from types import SimpleNamespace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import asdict
 
 from worm_model.commands.command_line import (
     FAILED,
@@ -23,13 +22,6 @@ from worm_model.text_table import labelled
 from worm_optimizer.commands.operate_run import add_run, add_tune, check_run, check_tune, run, tune
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import FAILURES
-from worm_optimizer.robot_commands import Snapshot
-
-#: fields of the driver's state that `operate state` returns
-_STATE = (
-    *("holding", "homed", "emergency_stop", "cycle", "cycles"),
-    *("stroke", "frequency", "direction", "message"),
-)
 
 Action = Callable[[OperatorNode, argparse.Namespace], int]
 Check = Callable[[argparse.Namespace], None]
@@ -60,27 +52,15 @@ def _parser() -> Parser:
         return added
 
     add("state", _state, "Print the state of the robot; exit status 1 without a driver.")
-    add(
-        "home",
-        _simple(OperatorNode.home),
-        "Define the present cable length as ΔL = 0; torque must be off.",
-    )
-    add("activate", _simple(OperatorNode.activate), "Turn the torque on without motion.")
-    add(
-        "deactivate",
-        _simple(OperatorNode.deactivate),
-        "Bring the robot to rest and turn its torque off.",
-    )
-    add(
-        "stop",
-        _simple(OperatorNode.stop),
-        "Hold the cable where it is, immediately; the torque stays on.",
-    )
-    add(
-        "reboot",
-        _simple(OperatorNode.reboot),
-        "Restart the servos that report a hardware error; torque must be off.",
-    )
+    home, off = "Define the present cable length as ΔL = 0", "torque must be off."
+    for name, call, text in (
+        ("home", OperatorNode.home, f"{home}; {off}"),
+        ("activate", OperatorNode.activate, "Turn the torque on without motion."),
+        ("deactivate", OperatorNode.deactivate, "Bring the robot to rest and turn its torque off."),
+        ("stop", OperatorNode.stop, "Hold the cable at once where it is; the torque stays on."),
+        ("reboot", OperatorNode.reboot, f"Restart the servos with a hardware error; {off}"),
+    ):
+        add(name, _simple(call), text)
     switch = add(
         "emergency_stop",
         _emergency_stop,
@@ -142,44 +122,37 @@ def _done(options: argparse.Namespace, message: str) -> int:
 
 
 def _state(node: OperatorNode, options: argparse.Namespace) -> int:
+    """Print the state. A value that was not received is NaN, an empty text or 0."""
     lifecycle, now = node.lifecycle_state(), node.current_snapshot()
-    content = _state_content(lifecycle, now)
-    print_result(options, content, _state_text(content))
-    return 0
-
-
-def _state_content(lifecycle: str, now: Snapshot) -> dict[str, Any]:
-    """Return the fields of the output. A value that was not received is NaN, an empty text or 0."""
-    assert now.driver is not None
-    return {
+    driver = now.driver
+    assert driver is not None
+    health = "" if now.health is None else now.health.name.lower()
+    content = {
         "lifecycle": lifecycle,
-        **{name: getattr(now.driver, name) for name in _STATE},
-        "state": now.driver.state.name,
+        **asdict(driver),
+        "state": driver.state.name,
         "power": now.power,
         "rear_position": now.robot.rear_position,
-        "health": "" if now.residuals is None else now.residuals.health.name.lower(),
+        "health": health,
         "initial_length": 0.0 if now.twin is None else now.twin.initial_length,
     }
-
-
-def _state_text(content: Mapping[str, Any]) -> str:
-    state = SimpleNamespace(**content)
-    activity = "stopped, holding" if state.holding else state.state.lower()
+    activity = "stopped, holding" if driver.holding else driver.state.name.lower()
     rows = {
-        "driver": state.lifecycle,
-        "state": activity + (f": {state.message}" if state.message else ""),
-        "homed": "yes" if state.homed else "no",
-        "emergency stop": "ON: nothing starts" if state.emergency_stop else "off",
+        "driver": lifecycle,
+        "state": activity + (f": {driver.message}" if driver.message else ""),
+        "homed": "yes" if driver.homed else "no",
+        "emergency stop": "ON: nothing starts" if driver.emergency_stop else "off",
     }
-    if state.cycle:
-        rows["cycle"] = f"{state.cycle} of {state.cycles}"
-    if math.isfinite(state.power):
-        rows["power"] = f"{state.power:.2f} W"
-    if math.isfinite(state.rear_position):
-        rows["rear position"] = f"{1e3 * state.rear_position:.1f} mm"
-    if state.health:
-        rows["health"] = state.health
-    return labelled(rows)
+    if driver.cycle:
+        rows["cycle"] = f"{driver.cycle} of {driver.cycles}"
+    if math.isfinite(now.power):
+        rows["power"] = f"{now.power:.2f} W"
+    if math.isfinite(now.robot.rear_position):
+        rows["rear position"] = f"{1e3 * now.robot.rear_position:.1f} mm"
+    if health:
+        rows["health"] = health
+    print_result(options, content, labelled(rows))
+    return 0
 
 
 def _simple(call: Callable[[OperatorNode], str]) -> Action:

@@ -4,12 +4,8 @@
 from __future__ import annotations
 
 import argparse
-import math
-import os
 import sys
-import time
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,21 +27,24 @@ from worm_optimizer.commands.tune import (
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import (
     DRIVER,
-    OPTIMIZER,
     GaitFailedError,
     OperatorNode,
     RejectedStartError,
-    UnreachableError,
 )
-from worm_optimizer.operation.bring_up import CYCLES, ProgressLog, new_bag, recorded
+from worm_optimizer.operation.bring_up import (
+    CYCLES,
+    ProgressLog,
+    new_bag,
+    once_per_cycle,
+    recorded,
+)
 from worm_optimizer.operation.processes import counted_interrupts
-from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
+from worm_optimizer.operation.system import recorder_of
+from worm_optimizer.robot_commands import GaitCommand, RunResult
 
 if TYPE_CHECKING:  # Numba loads slowly
     from worm_optimizer.operation.campaign_runs import Tuned
-    from worm_optimizer.robustness.tuning import GaitLimits, Tuning
-
-_PROGRESS_S = 2.0  # shortest time between two lines of progress within a cycle, s
+    from worm_optimizer.robustness.tuning import GaitLimits
 
 
 def add_run(parser: Parser) -> None:
@@ -77,14 +76,14 @@ def run(node: OperatorNode, options: argparse.Namespace) -> int:
     say = ProgressLog("operate")
     conditions = conditions_of(node, options, say)
     command = _ends(options, own_gait(options) or requested(node, options, say).gait)
-    new = None if options.record is None else new_bag(options.record)
+    recording: AbstractContextManager[Path | None] = nullcontext()
+    if options.record is not None:
+        new = new_bag(options.record)
+        recording = recorded(
+            node, recorder_of(node.get_namespace(), new, options.parameters, conditions)
+        )
     say(f"running {command}")
-    recorder = (
-        nullcontext()
-        if new is None
-        else recorded(node, new, options.parameters, conditions, str(os.getpid()))
-    )
-    with recorder as bag:
+    with recording as bag:
         result = attended(node, command, say)
     content = {**asdict(result), "bag": None if bag is None else str(bag)}
     print_result(options, content, _result_text(result, bag))
@@ -104,7 +103,7 @@ def conditions_of(node: OperatorNode, options: argparse.Namespace, say: Progress
     }
     if not stated and options.record is None and options.stroke is not None:
         return LEVEL
-    if not node.graph.has_node(OPTIMIZER):
+    if not node.has_optimizer():
         say("no optimizer is running: the recording contains the conditions of the options")
         return Conditions(**stated)
     if stated:
@@ -146,13 +145,9 @@ def requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog)
 
     The request contains the initial length in the twin's latest state, if there is a twin.
     """
-    request = request_of_options(options)
     twin = node.current_snapshot().twin
     length = 0.0 if twin is None else twin.initial_length
-    try:
-        answer = node.request_gait(request, options.direction, length)
-    except UnreachableError as error:
-        raise InputError(str(error)) from None
+    answer, _ = node.request_gait(request_of_options(options), options.direction, length)
     phase = 1e3 * answer.groove_phase
     say(f"{1e3 * answer.nominal_speed:.2f} mm/s expected at a groove phase of {phase:+.1f} mm")
     return answer
@@ -166,38 +161,19 @@ def attended(node: OperatorNode, command: GaitCommand, say: ProgressLog) -> RunR
         RejectedStartError: The driver rejects the gait in its present state.
         OperatorError: The driver does not answer.
     """
-    with counted_interrupts() as interrupts:
-        run = node.begin(command)
-        try:
-            if not node.follow(run, _progress(say), lambda: interrupts() > 0):
-                run.cancel()
-                say("stopping at the next point of rest; Ctrl-C again holds immediately")
-            if not node.follow(run, _progress(say), lambda: interrupts() > 1):
-                say(node.stop())
-            node.follow(run, _progress(say))
-            if run.rejected:
-                raise _rejection(node, run.result.message)
-            return run.result
-        finally:
-            run.close()
-
-
-def _rejection(node: OperatorNode, message: str) -> Exception:
-    driver = node.current_snapshot().driver
-    ready = driver is not None and driver.state == Activity.IDLE and not driver.emergency_stop
-    return InputError(message) if ready else RejectedStartError(message)
-
-
-def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:
-    last, cycle = -math.inf, -1
-
-    def progress(now: RunProgress) -> None:
-        nonlocal last, cycle
-        if now.cycle != cycle or time.monotonic() > last + _PROGRESS_S:
-            last, cycle = time.monotonic(), now.cycle
-            say(str(now))
-
-    return progress
+    progress = once_per_cycle(say)
+    with counted_interrupts() as interrupts, node.started(command) as run:
+        if not node.follow(run, progress, lambda: interrupts() > 0):
+            run.cancel()
+            say("stopping at the next point of rest; Ctrl-C again holds immediately")
+        if not node.follow(run, progress, lambda: interrupts() > 1):
+            say(node.stop())
+        node.follow(run, progress)
+    if run.rejected:
+        driver = node.current_snapshot().driver
+        ready = driver is not None and driver.state == Activity.IDLE and not driver.emergency_stop
+        raise InputError(run.result.message) if ready else RejectedStartError(run.result.message)
+    return run.result
 
 
 def _result_text(result: RunResult, bag: Path | None) -> str:
@@ -243,29 +219,24 @@ def check_tune(options: argparse.Namespace) -> None:
 
 def tune(node: OperatorNode, options: argparse.Namespace) -> int:
     """Tune the gait of the options on the robot, and print the last step."""
-    from worm_optimizer.operation.campaign_runs import (  # here: Numba loads slowly
-        require_tracker,
-        tune_gait,
-    )
+    from worm_optimizer.operation.campaign_runs import tune_gait  # here: Numba loads slowly
 
     say = ProgressLog("operate")
-    require_tracker(node)
+    node.require_tracker()
     conditions = conditions_of(node, options, say)
     gait, aim = _first_step(node, options, say)
 
     def record(gait: Gait, number: int) -> Path:
-        name = f"{os.getpid()}_{number}"
         bag = new_bag(options.record, "tune")
-        with recorded(node, bag, options.parameters, conditions, name) as path:
+        recorder = recorder_of(node.get_namespace(), bag, options.parameters, conditions)
+        with recorded(node, recorder) as path:
             result = attended(node, GaitCommand(gait, CYCLES), say)
         if not result.success:
             raise GaitFailedError(f"run {number}: {result.message}")
         return path
 
-    def measure(bags: Sequence[Path]) -> Tuning:
-        return measured_step(bags, aim, say)
-
-    return _print_tuned(options, tune_gait(gait, record, measure, say))
+    tuned = tune_gait(gait, record, lambda bags: measured_step(bags, aim, say), say)
+    return _print_tuned(options, tuned)
 
 
 def _first_step(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, executable
 from worm_msgs.conditions import CONDITION_ROWS
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.bring_up import FAILURES, ProgressLog, Session, session
 from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
 from worm_optimizer.operation.system import RESTARTS, Robot, installed_system_file
@@ -66,7 +66,7 @@ def robot_of(options: argparse.Namespace, mode: str) -> Robot:
 
 def _start(options: argparse.Namespace) -> int:
     robot = robot_of(options, "virtual" if options.virtual else "robot")
-    system = robot.file.system(robot.mode, options.namespace, **robot.settings)
+    system = robot.system(options.namespace)
     logs = Path(tempfile.mkdtemp(prefix="worm_start_"))
     say = ProgressLog("start")
     say(f"the logs of all nodes go to {logs}")

@@ -12,13 +12,13 @@ from nicegui import ui
 from worm_optimizer.console.charts import Axis, axis_of, lines
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.gait_page import GaitPage
-from worm_optimizer.console.view import HISTORY_S, Sample, margin_text, missing_sources, twin_text
+from worm_optimizer.console.view import HISTORY_S, margin_text, missing_sources, twin_text
 
 FRAME_S = 1.0 / 30.0
 REFRESH_S = 0.25
 CHART_S = 0.5
 _TIME = Axis("time, s", -HISTORY_S, 0.0, (-60.0, -45.0, -30.0, -15.0, 0.0))
-# Title, factor from the SI unit, decimals, and curves of each chart: field of `Sample` and its name
+# Title, factor from the SI unit, decimals, and curves of each chart: key of a sample and its name
 _CHARTS = (
     (
         "length, mm",
@@ -98,7 +98,11 @@ class CockpitPage:
 
 
 def _chart(
-    samples: list[Sample], title: str, scale: float, decimals: int, names: dict[str, str]
+    samples: list[dict[str, float]],
+    title: str,
+    scale: float,
+    decimals: int,
+    names: dict[str, str],
 ) -> str:
     """Return a chart of the last minute as HTML, with the newest values in its legend.
 
@@ -108,11 +112,9 @@ def _chart(
     curves, values, legend = [], [], []
     for name, text in names.items():
         late = name in _OF_TWIN
-        points = [
-            (s.time - s.twin_age * late - now, scale * getattr(s, name))
-            for s in samples
-            if s.time - s.twin_age * late - now >= -HISTORY_S
-        ]
+        times = [s["time"] - s["twin_age"] * late - now for s in samples]
+        values_of = [scale * s[name] for s in samples]
+        points = [p for p in zip(times, values_of, strict=True) if p[0] >= -HISTORY_S]
         curves.append((text, points))
         values += [value for _, value in points]
         newest = points[-1][1] if points else math.nan

@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Callable
 from contextlib import nullcontext
-from functools import partial
-from pathlib import Path
 
 from fastapi import Response
-from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
+from fastapi.responses import FileResponse, PlainTextResponse
 from nicegui import Client, app, core, events, ui
 from nicegui.server import Server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -27,7 +24,6 @@ from worm_optimizer.console.view import SAMPLE_S, state_text
 REFRESH_S = 0.25
 COCKPIT, RECORDINGS = "Cockpit", "Recordings"
 _SANDBOX = {"content-security-policy": "sandbox"}  # blocks scripts in a report of a foreign bag
-_CHUNK = 1 << 20  # bytes
 _NO_CONTROL = "this page does not have control"
 
 
@@ -46,26 +42,7 @@ def build(state: ConsoleState) -> None:
         except InputError as error:
             return PlainTextResponse(str(error), 404)
 
-    @app.get("/bags/{name:path}")
-    async def bag(name: str) -> Response:
-        try:
-            return await _packed(state, name)
-        except InputError as error:
-            return PlainTextResponse(str(error), 404)
-
     app.timer(SAMPLE_S, state.add_sample)
-
-
-async def _packed(state: ConsoleState, name: str) -> Response:
-    """Return a bag as a ZIP file. Its folder is removed at once; the open file remains readable."""
-    with tempfile.TemporaryDirectory(prefix="worm_console_") as folder:
-        packed = await state.library.packed(name, Path(folder))
-        name, file = packed.name, packed.open("rb")
-    return StreamingResponse(
-        iter(partial(file.read, _CHUNK), b""),
-        media_type="application/zip",
-        headers={"content-disposition": f'attachment; filename="{name}"'},
-    )
 
 
 class ConsolePage:

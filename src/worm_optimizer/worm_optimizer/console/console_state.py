@@ -14,11 +14,10 @@ from worm_model.twin.data.records import StateRecord
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.console.bag_library import BagLibrary
 from worm_optimizer.console.control import PageControl
-from worm_optimizer.console.gait_fields import DriverLimits
 from worm_optimizer.console.page_actions import Front
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
-from worm_optimizer.console.view import HISTORY_S, SAMPLE_S, Sample, live_twin, sample
+from worm_optimizer.console.view import HISTORY_S, SAMPLE_S, live_twin, sample
 from worm_optimizer.robot_commands import Snapshot
 
 _FRESH_S = 0.02  # time for which all pages share a snapshot, s
@@ -28,7 +27,7 @@ _FRESH_S = 0.02  # time for which all pages share a snapshot, s
 class ConsoleState:
     """Shared state. All pages use it in one thread, that of the web server.
 
-    Commands in the worker's command thread change ``fronts``, ``front_notes``, ``limits`` and ``conditions``. Both
+    Commands in the worker's command thread change ``fronts``, ``front_notes`` and ``conditions``. Both
     threads of the worker append to ``notices``, too.
 
     Attributes:
@@ -40,7 +39,6 @@ class ConsoleState:
         notices: messages, the newest last.
         fronts: fronts, by direction.
         front_notes: what there is to say about the front of a direction, or why there is none.
-        limits: the driver's limits on gaits; without any until they are read.
         conditions: conditions in the pipe that the optimizer assumes, as the console last read or set them.
         samples: values of the last minute.
     """
@@ -53,13 +51,11 @@ class ConsoleState:
     notices: deque[Notice]
     fronts: dict[int, Front] = field(default_factory=dict)
     front_notes: dict[int, str] = field(default_factory=dict)
-    limits: DriverLimits = field(default_factory=DriverLimits)
     conditions: Conditions = LEVEL
-    samples: deque[Sample] = field(
+    samples: deque[dict[str, float]] = field(
         default_factory=lambda: deque(maxlen=round(HISTORY_S / SAMPLE_S))
     )
     _latest: tuple[float, Snapshot] = (-math.inf, Snapshot())
-    _drawn: tuple[Snapshot | None, str] = (None, "")
 
     def snapshot(self) -> Snapshot:
         """Return the latest state of the robot."""
@@ -78,14 +74,11 @@ class ConsoleState:
         return live_twin(self.snapshot(), time.monotonic())
 
     def picture(self) -> str:
-        """Return a picture of the robot in its pipe. All pages share the picture of a snapshot."""
+        """Return a picture of the robot in its pipe."""
         snapshot = self.snapshot()
-        if snapshot is not self._drawn[0]:
-            driver = snapshot.driver
-            direction = driver.direction if driver is not None and driver.direction else FORWARD
-            drawn = picture(self.twin(), snapshot.robot_at_twin, self.parameters, direction)
-            self._drawn = (snapshot, drawn)
-        return self._drawn[1]
+        driver = snapshot.driver
+        direction = driver.direction if driver is not None and driver.direction else FORWARD
+        return picture(self.twin(), snapshot.robot_at_twin, self.parameters, direction)
 
     def cancellation(self) -> str:
         """Return the reason why the present run must end; empty if it may continue."""

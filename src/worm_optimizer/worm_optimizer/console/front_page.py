@@ -8,6 +8,7 @@ from functools import partial
 
 from nicegui import events, ui
 
+from worm_model.errors import InputError
 from worm_msgs.gait import FORWARD, REVERSE, Gait
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.charts import Axis, axis_of, dots
@@ -15,7 +16,7 @@ from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_actions import Front
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OperatorNode
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.search.gait_request import SAME_LENGTH
 
 _READING = "reading the front"
@@ -142,7 +143,7 @@ class FrontChart:
         return gaits.index(self._gait) if self._gait in gaits else None
 
     def _read_front(self) -> None:
-        """Read the front and the driver's limits. A change of the end of the front is explained."""
+        """Read the front and the conditions for which it holds. A change of the end of the front is explained."""
         state, direction = self._state, self.direction
         length, before = page_actions.initial_length(state.twin()), state.fronts.get(direction)
         state.front_notes[direction] = _READING
@@ -151,8 +152,7 @@ class FrontChart:
             try:
                 front = page_actions.read_front(node, direction, length)
                 state.conditions = node.conditions()
-                state.limits = page_actions.driver_limits(node)
-            except OperatorError as error:
+            except (OperatorError, InputError) as error:
                 state.front_notes[direction] = f"no front: {error}"
                 return ""
             state.fronts[direction] = front

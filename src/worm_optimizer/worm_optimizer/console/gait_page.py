@@ -12,21 +12,29 @@ from nicegui import ui
 
 from worm_model.errors import InputError
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
-from worm_msgs.gait import Gait, Profile
+from worm_msgs.gait import GAIT_DEFAULTS, Gait, Profile
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.front_page import ActionButton, FrontChart
-from worm_optimizer.console.gait_fields import DEFAULTS, FIELDS, edited, field_error
 from worm_optimizer.console.view import MOVING, obstacles
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OperatorNode
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.gait_request import SAME_LENGTH
 
 REFRESH_S = 0.25
 _ASSUMES = "The optimizer assumes {}."
+# Name on the page and factor from the SI unit, by the name of the gait's field
+_FIELDS = {
+    "stroke": ("stroke, mm", 1e3),
+    "frequency": ("frequency, Hz", 1.0),
+    "margin": ("margin, mm", 1e3),
+    "pretension": ("pretension, mm", 1e3),
+    "contraction_share": ("contraction share", 1.0),
+    "ramp_share": ("ramp share", 1.0),
+}
 # Name, factor from the SI unit, field with the margin and field without the margin of each predicted value
 _PREDICTED = (
     ("speed, mm/s", 1e3, "speed", "nominal_speed"),
@@ -87,8 +95,8 @@ class GaitPage:
         """Build the fields of the gait and of the conditions."""
         with ui.element("div").classes("fields w-full"):
             self._fields = {
-                name: _field(field.title, field.scale * DEFAULTS[name], self._edit)
-                for name, field in FIELDS.items()
+                name: _field(title, scale * GAIT_DEFAULTS.get(name, math.nan), self._edit)
+                for name, (title, scale) in _FIELDS.items()
             }
             self._profile = (
                 ui.toggle(
@@ -127,7 +135,7 @@ class GaitPage:
     def _submit(self, description: str, command: Callable[[OperatorNode], str]) -> None:
         """Submit a command, which waits for the end of the present one."""
         if not self._why_not():
-            self._state.worker.submit_next(description, command)
+            self._state.worker.submit(description, command)
 
     def _command(self) -> GaitCommand:
         """Return the run of the gait. Raises `InputError` if there is no gait or no admissible end."""
@@ -151,11 +159,9 @@ class GaitPage:
 
     def _obstacle(self) -> str:
         """Return the reason why the gait of the fields cannot run; empty if it can."""
-        state, gait = self._state, self._gait
-        if wrong := self._error or (gait is not None and state.limits.obstacle(gait)):
-            return wrong
-        hindrance = state.worker.hindrance
-        if reason := obstacles(state.snapshot(), self._why_not(), hindrance)["Run"]:
+        snapshot, hindrance = self._state.snapshot(), self._state.worker.hindrance
+        reason = self._error or obstacles(snapshot, self._why_not(), hindrance)["Run"]
+        if reason:
             return reason
         try:
             self._command()
@@ -168,8 +174,8 @@ class GaitPage:
         self._gait, self._prediction = prediction.gait, prediction
         self._error = self._remark = ""
         self._filled = {
-            name: round(field.scale * getattr(prediction, name), 4)
-            for name, field in FIELDS.items()
+            name: round(scale * getattr(prediction, name), 4)
+            for name, (_, scale) in _FIELDS.items()
         }
         self._filling = True
         for name, value in self._filled.items():
@@ -187,17 +193,20 @@ class GaitPage:
         empty = math.isnan(shown["stroke"]) and math.isnan(shown["frequency"])
         if self._filling or (self._gait is None and empty):
             return
-        changed = {
-            name: value / FIELDS[name].scale
+        # The field of an unchanged value shows fewer digits than the gait has.
+        values = {
+            name: value / _FIELDS[name][1]
             for name, value in shown.items()
             if self._gait is None or value != self._filled.get(name)
         }
-        self._error = field_error({n: v / FIELDS[n].scale for n, v in shown.items()})
-        if self._error:
-            self._prediction = self._asked = None
+        values |= {"direction": self._front.direction, "profile": Profile(self._profile.value)}
+        try:
+            known = {} if self._gait is None else dataclasses.asdict(self._gait)
+            gait = Gait(**(known | values))
+            self._error = ""
+        except InputError as error:
+            self._error, self._prediction, self._asked = str(error), None, None
             return
-        profile = Profile(self._profile.value)
-        gait = edited(self._gait, changed, self._front.direction, profile)
         self._filled = shown
         if gait != self._gait:
             self._gait, self._prediction, self._remark = gait, None, ""
@@ -234,7 +243,7 @@ class GaitPage:
         try:
             stated = Conditions(**{n: f.value or 0.0 for n, f in self._conditions.items()})
         except InputError as error:
-            self._condition_text.set_text(_in_words_of_the_page(str(error)))
+            self._condition_text.set_text(str(error))
             return
 
         def apply(node: OperatorNode) -> str:
@@ -303,10 +312,3 @@ def _value(field: ui.number) -> float:
 def _condition_title(name: str) -> str:
     row = CONDITION_ROWS[name]
     return f"{row['option'].strip('-').replace('-', ' ')}, {row['unit']}"
-
-
-def _in_words_of_the_page(text: str) -> str:
-    """Return a message about conditions with the titles of the fields instead of their names."""
-    for name in sorted(CONDITION_ROWS, key=len, reverse=True):
-        text = text.replace(name, _condition_title(name).split(",")[0])
-    return text

@@ -3,28 +3,21 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 
 from worm_model.twin.data.records import StateRecord
-from worm_optimizer.console.gait_fields import DriverLimits
 from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.operator_node import DRIVER, OperatorNode
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.operator_node import OperatorNode, RejectedStartError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.bring_up import Say, new_bag, recorded
+from worm_optimizer.operation.system import recorder_of
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.gait_request import SAME_LENGTH, GaitRequest, Objective
 
 _GAITS = 32  # number of equal steps into which the displayed front is divided by speed
-_FIRST_S = 5.0  # longest wait for the optimizer, s; meanwhile, no other command begins
-_LIMITS = ("limits.max_stroke_m", "limits.max_frequency_hz", "limits.max_cable_speed_m_per_s")
-
-_numbers: Iterator[int] = count(1)  # numbers in the names of recorders
 
 
 @dataclass(frozen=True)
@@ -65,14 +58,15 @@ def read_front(node: OperatorNode, direction: int, initial_length: float) -> Fro
         initial_length: length of the robot at rest, m; 0 for the length in the optimizer's parameters.
 
     Raises:
-        OperatorError: There is no optimizer, or it rejects a request or does not answer.
+        OperatorError: There is no optimizer, or it does not answer or has no front.
+        InputError: It rejects a request.
     """
 
     def request(objective: Objective, value: float = 0.0) -> Prediction:
-        return node.request_gait(GaitRequest(objective, value), direction, initial_length)
+        return node.request_gait(GaitRequest(objective, value), direction, initial_length)[0]
 
     require_optimizer(node)
-    cruise, description = request(Objective.CRUISE), node.front_description.split(";")[0]
+    cruise, message = node.request_gait(GaitRequest(Objective.CRUISE), direction, initial_length)
     gaits, fastest = [request(Objective.MIN_POWER)], request(Objective.MAX_SPEED)
     step = (fastest.speed - gaits[0].speed) / _GAITS
     for number in range(1, _GAITS):
@@ -80,7 +74,8 @@ def read_front(node: OperatorNode, direction: int, initial_length: float) -> Fro
         if speed > gaits[-1].speed:  # the previous gait may be faster than requested
             gaits.append(request(Objective.MIN_POWER_AT_SPEED, speed))
     by_speed = {gait.speed: gait for gait in (*gaits, fastest, cruise)}
-    return Front(tuple(by_speed[speed] for speed in sorted(by_speed)), cruise, description)
+    gaits = [by_speed[speed] for speed in sorted(by_speed)]
+    return Front(tuple(gaits), cruise, message.split(";")[0])
 
 
 def described(front: Front, before: Front | None) -> str:
@@ -97,13 +92,8 @@ def described(front: Front, before: Front | None) -> str:
 
 def require_optimizer(node: OperatorNode) -> None:
     """Raise `OperatorError` if there is no optimizer."""
-    if not node.wait(lambda: node.has_optimizer, _FIRST_S):
+    if not node.has_optimizer():
         raise OperatorError("there is no optimizer: ./worm start starts one")
-
-
-def driver_limits(node: OperatorNode) -> DriverLimits:
-    """Return the driver's limits on gaits. Raises `OperatorError` if it does not answer."""
-    return DriverLimits(*node.numbers(DRIVER, _LIMITS))
 
 
 def run(
@@ -130,21 +120,17 @@ def run(
             raises no error. A rejected gait leaves no bag.
         InputError: The bag cannot be created.
     """
-    recorder = f"console_{os.getpid()}_{next(_numbers)}"
-    conditions = node.conditions()
-    with recorded(node, new_bag(folder), parameter_file, conditions, recorder) as bag:
+    bag, conditions = new_bag(folder), node.conditions()
+    recorder = recorder_of(node.get_namespace(), bag, parameter_file, conditions)
+    with recorded(node, recorder) as bag:
         if why := cancellation():
             raise OperatorError(f"not started: {why}")
-        gait_run = node.begin(command, lambda: not cancellation())
-        try:
+        with node.started(command, lambda: not cancellation()) as gait_run:
             node.follow(gait_run, lambda now: report(cancellation() or f"running: {now}"))
             result, why = gait_run.result, cancellation()
-        finally:
-            gait_run.close()
+        if gait_run.rejected:
+            raise RejectedStartError(result.message)
         report(f"{why or result.message}; closing the recording")
-    if gait_run.rejected:
-        shutil.rmtree(bag)  # it contains no gait
-        raise OperatorError(result.message)
     text = "; ".join(filter(None, (result.message, why, f"recorded in {bag.name}")))
     if not (result.success or why == STOP_PRESSED):  # a stop by a person is no error
         raise OperatorError(text)

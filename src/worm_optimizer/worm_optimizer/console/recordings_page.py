@@ -9,7 +9,7 @@ from urllib.parse import quote
 from nicegui import ui
 
 from worm_model.errors import InputError
-from worm_optimizer.console.bag_library import LISTED, Row, cells_of, matches
+from worm_optimizer.console.bag_library import LISTED, cells_of
 from worm_optimizer.console.console_state import ConsoleState
 
 _CHECKBOX = '<q-checkbox v-model="props.selected" :aria-label="{}" />'
@@ -20,7 +20,6 @@ class RecordingsPage:
 
     def __init__(self, state: ConsoleState) -> None:
         self._state = state
-        self._rows: list[Row] = []
         with ui.element("div").classes("w-full") as self._list:
             self._build_list()
         with ui.element("div").classes("w-full") as self._detail:
@@ -31,7 +30,7 @@ class RecordingsPage:
     def _build_list(self) -> None:
         with ui.row().classes("items-center w-full gap-2"):
             ui.button("Read list", on_click=self.read)
-            self._search = ui.input("Search", on_change=self._fill).classes("grow")
+            search = ui.input("Search").classes("grow")
         with ui.row().classes("gap-2 q-my-sm"):
             ui.button("Open report", on_click=partial(self._report, 1, "one bag"))
             ui.button("Compare two", on_click=partial(self._report, 2, "two bags"))
@@ -44,6 +43,7 @@ class RecordingsPage:
         self._table = ui.table(
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
+        search.bind_value(self._table, "filter")
         self._table.style("min-height: 40vh")
         self._table.props(
             ':rows-per-page-options="[20]" no-data-label="no run is listed" no-results-label="none"'
@@ -55,26 +55,13 @@ class RecordingsPage:
         """Read the list."""
         self._note.set_text("reading the list")
         try:
-            self._rows = await self._state.library.rows()
+            rows = await self._state.library.rows()
         except InputError as error:
             self._note.set_text(str(error))
             return
-        self._note.set_text("" if self._rows else "nothing has been recorded yet")
-        self._fill()
-
-    def _fill(self) -> None:
-        """Show the rows that match the search, and the selected rows."""
-        rows = [{"key": f"{row['name']} {row['start']}", **cells_of(row)} for row in self._rows]
-        known = {row["key"] for row in rows}
-        self._table.selected[:] = [row for row in self._table.selected if row["key"] in known]
-        selected = {row["key"] for row in self._table.selected}
-        words = self._search.value or ""
-        shown = [
-            cells
-            for row, cells in zip(self._rows, rows, strict=True)
-            if cells["key"] in selected or matches(row, words)
-        ]
-        self._table.update_rows(shown, clear_selection=False)
+        self._note.set_text("" if rows else "nothing has been recorded yet")
+        cells = [{"key": f"{row['name']} {row['start']}", **cells_of(row)} for row in rows]
+        self._table.update_rows(cells)
 
     def selected(self) -> list[str]:
         """Return the names of the selected bags."""
@@ -108,9 +95,15 @@ class RecordingsPage:
         self._detail.set_visibility(False)
         self._list.set_visibility(True)
 
-    def _download(self) -> None:
+    async def _download(self) -> None:
         names = self.selected()
         if not names:
             self._note.set_text("select a bag in the list")
-        for name in names:
-            ui.download.from_url(f"/bags/{quote(name)}")
+            return
+        self._note.set_text("packing")
+        try:
+            for name in names:
+                ui.download.file(await self._state.library.packed(name))
+            self._note.set_text("")
+        except InputError as error:
+            self._note.set_text(str(error))

@@ -64,7 +64,7 @@ class RobotWorker:
         self._open_robot, self._open_stop, self._notify = open_robot, open_stop, notify
         self._commands: SimpleQueue[tuple[str, Command]] = SimpleQueue()
         self._quiet_commands: SimpleQueue[tuple[str, Command]] = SimpleQueue()
-        self._next = ""  # description of the command of `submit_next` that waits
+        self._next = ""  # description of the command that waits for the end of the present one
         self._closing = threading.Event()
         self._stop_requested = threading.Event()
         self._stop_node: OperatorNode | None = None
@@ -104,30 +104,22 @@ class RobotWorker:
         node = self._stop_node
         if node is None:
             return Snapshot()
-        known = node.snapshot()
+        known = node.telemetry.snapshot()
         return known if self._has_driver else replace(known, driver=None)
 
     @property
     def hindrance(self) -> str:
-        """Reason why no command can be submitted now; empty if one can."""
+        """Reason why no command can begin at once; empty if one can."""
         return self.failure or ("wait for the end of the present command" if self.busy else "")
 
     def submit(self, description: str, command: Command) -> bool:
-        """Submit a command. Return False, and do nothing, if there is a `hindrance`."""
-        if self.hindrance:
-            return False
-        self.cancellation = ""
-        self.busy = description
-        self._commands.put((description, command))
-        return True
-
-    def submit_next(self, description: str, command: Command) -> bool:
         """Submit a command, which waits for the end of the present one. Return False if another one waits already."""
-        if not self.busy:
-            return self.submit(description, command)
         if self._next or self.failure:
             return False
-        self._next = description
+        if self.busy:
+            self._next = description
+        else:
+            self.busy, self.cancellation = description, ""
         self._commands.put((description, command))
         return True
 
@@ -218,7 +210,7 @@ class RobotWorker:
 
     def _run_stop(self) -> None:
         with self._open_stop(self._check_stop) as node:
-            node.subscribe_to_all()
+            node.telemetry.subscribe_to_all()
             node.prepare_stop()
             self._stop_node = node
             was_lost = False

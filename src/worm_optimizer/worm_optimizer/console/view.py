@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import STALE_S, Health, StateRecord
@@ -77,12 +76,12 @@ def state_text(snapshot: Snapshot, *, stopping: bool = False) -> str:
 
 def twin_text(snapshot: Snapshot, now: float) -> str:
     """Return the health of the robot according to the twin, with the delay of the twin."""
-    residuals = snapshot.residuals
-    if residuals is None or not is_live(snapshot, "twin/residuals", now):
+    health = snapshot.health
+    if health is None or not is_live(snapshot, "twin/residuals", now):
         return "twin: no message"
     age = f"{snapshot.twin_age:.1f} s behind" if math.isfinite(snapshot.twin_age) else ""
-    unknown = "nothing to compare with yet" if residuals.health is Health.UNKNOWN else ""
-    parts = (f"twin: {residuals.health.name.lower()}", residuals.message or unknown, age)
+    unknown = "nothing to compare with yet" if health is Health.UNKNOWN else ""
+    parts = (f"twin: {health.name.lower()}", snapshot.health_message or unknown, age)
     return ", ".join(part for part in parts if part)
 
 
@@ -127,25 +126,12 @@ def margin_text(twin: StateRecord | None) -> str:
     return "; ".join(filter(None, (spare_of(twin), chance, phase)))
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Values at a time (s, monotonic clock): lengths in m, powers in W; NaN for silent topics.
+def sample(snapshot: Snapshot, now: float) -> dict[str, float]:
+    """Return the present lengths (m) and powers (W) by name; NaN for silent topics.
 
-    ``estimated`` and ``predicted`` come from the twin and hold for the time ``twin_age`` (s) earlier.
+    ``time`` (s, monotonic clock) is that of the values. ``estimated`` and ``predicted`` come from the twin and hold for
+    the time ``twin_age`` (s) earlier.
     """
-
-    time: float
-    commanded: float
-    cable: float
-    measured: float
-    estimated: float
-    power: float
-    predicted: float
-    twin_age: float
-
-
-def sample(snapshot: Snapshot, now: float) -> Sample:
-    """Return the present values; NaN for silent topics."""
     lengths = {
         source.name.lower(): snapshot.lengths.get(source, math.nan)
         if is_live(snapshot, f"body_length/{source.name.lower()}", now)
@@ -153,10 +139,10 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
         for source in LengthSource
     }
     twin = live_twin(snapshot, now)
-    return Sample(
-        time=now,
+    return {
+        "time": now,
         **lengths,
-        power=snapshot.power if is_live(snapshot, "power", now) else math.nan,
-        predicted=math.nan if twin is None else twin.power,
-        twin_age=snapshot.twin_age if math.isfinite(snapshot.twin_age) else 0.0,
-    )
+        "power": snapshot.power if is_live(snapshot, "power", now) else math.nan,
+        "predicted": math.nan if twin is None else twin.power,
+        "twin_age": snapshot.twin_age if math.isfinite(snapshot.twin_age) else 0.0,
+    }

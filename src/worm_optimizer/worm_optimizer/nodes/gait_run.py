@@ -78,7 +78,9 @@ class GaitRun:
 
     def send(self) -> None:
         """Send the goal to the driver and start the heartbeats."""
-        goal = _goal_of(self.command)
+        ends = {name: getattr(self.command, name) for name in ("cycles", "grooves", "distance")}
+        gait = Gait(**asdict(self.command.gait))
+        goal = RunGait.Goal(gait=gait, heartbeat=SILENCE_S, **ends)
         sent = self._client.send_goal_async(goal, self._on_feedback, goal_uuid=self._id)
         sent.add_done_callback(self._on_answer)
         self._timer.reset()
@@ -97,10 +99,10 @@ class GaitRun:
 
     @property
     def result(self) -> RunResult:
-        """Result of the run, available when `done` is True. After a rejection, its numbers are NaN."""
+        """Result of the run, available when `done` is True. After a rejection, it has no measurements."""
         if self.rejected:
             reason = self._reason or "see the log of the driver for the reason"
-            return value_of(RunResult, _no_result(f"rejected: {reason}"), gait=self.command.gait)
+            return RunResult(self.command.gait, False, f"rejected: {reason}")
         assert self._ended is not None
         return value_of(RunResult, self._ended.result().result, gait=self.command.gait)
 
@@ -137,18 +139,3 @@ class GaitRun:
     def _on_feedback(self, message: Any) -> None:
         self.received_at = time.monotonic()
         self.progress = value_of(RunProgress, message.feedback)
-
-
-def _no_result(message: str) -> RunGait.Result:
-    names = ("grooves", "distance", "speed", "power", "cost_of_transport", "idle_power")
-    return RunGait.Result(message=message, **dict.fromkeys(names, math.nan))
-
-
-def _goal_of(command: GaitCommand) -> RunGait.Goal:
-    return RunGait.Goal(
-        gait=Gait(**asdict(command.gait)),
-        cycles=command.cycles,
-        grooves=command.grooves,
-        distance=command.distance,
-        heartbeat=SILENCE_S,
-    )

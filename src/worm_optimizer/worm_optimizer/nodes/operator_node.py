@@ -14,19 +14,21 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
+from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
+from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.logging import LoggingSeverity
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from worm_model.errors import InputError
 from worm_model.gait import FORWARD, Gait
 from worm_model.run import Activity
 from worm_msgs import network
@@ -37,21 +39,14 @@ from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.gait_run import GaitRun
-from worm_optimizer.nodes.robot_graph import RobotGraph
-from worm_optimizer.nodes.robot_telemetry import Telemetry, value_of
-from worm_optimizer.nodes.service_caller import (
+from worm_optimizer.nodes.robot_client import (
     CALL_TIMEOUT_S,
     DISCOVERY_TIMEOUT_S,
-    NoAnswerError,
     OperatorError,
-    ServiceCaller,
+    RobotClient,
 )
-from worm_optimizer.robot_commands import (
-    GaitCommand,
-    Progress,
-    RunResult,
-    Snapshot,
-)
+from worm_optimizer.nodes.robot_telemetry import Telemetry, value_of
+from worm_optimizer.robot_commands import GaitCommand, Progress, RunResult, Snapshot
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 REQUEST_GAIT = "request_gait"
@@ -60,15 +55,9 @@ SILENCE_S = 60.0  # timeout for feedback of a running gait, s
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition, s
 REPEATED_S = 1.0  # s, time after the reset in which a pressed button repeats the emergency stop
 TELEMETRY_S = 1.0  # timeout of `current_snapshot` for power, tracker and twin, s
-ATTEMPTS = 2  # largest number of transitions until the driver is active: one from unconfigured, one from inactive
-_NEXT = {
-    State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
-    State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
-}
-
-
-class UnreachableError(OperatorError):
-    """No gait of the front satisfies a request. The message contains the speed or power of the nearest gait."""
+OPTIMIZER_S = 5.0  # timeout for the discovery of an optimizer, which may be missing, s
+_CONFIGURE = State.PRIMARY_STATE_UNCONFIGURED, Transition.TRANSITION_CONFIGURE
+_ACTIVATE = State.PRIMARY_STATE_INACTIVE, Transition.TRANSITION_ACTIVATE
 
 
 class GaitFailedError(OperatorError):
@@ -108,7 +97,7 @@ def operator(
         yield node
 
 
-class OperatorNode(ServiceCaller):
+class OperatorNode(RobotClient):
     """Client of the driver, the optimizer and the virtual robot in one namespace.
 
     Args:
@@ -118,10 +107,7 @@ class OperatorNode(ServiceCaller):
         name: name of the node.
 
     Attributes:
-        graph: the ROS graph of the robot.
-        late_cycles: number of deadlines that the driver has missed since its start, according to its diagnostics.
-        front_description: margin of the front of the latest gait that `request_gait` returned, and warnings about it.
-            The parts are separated by semicolons.
+        telemetry: latest state of the robot.
     """
 
     def __init__(
@@ -132,14 +118,9 @@ class OperatorNode(ServiceCaller):
         name: str = "operator",
     ) -> None:
         super().__init__(name, namespace, context, check)
-        self.graph = RobotGraph(self)
-        self.late_cycles = 0
-        self.front_description = ""
         self._simulated_s: float | None = None  # time of a virtual robot's clock
-        self._telemetry = Telemetry(self)
+        self.telemetry = Telemetry(self)
         self._errors: deque[str] = deque(maxlen=20)  # errors in the driver's log
-        self._own_runs = 0
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
         self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
@@ -148,13 +129,6 @@ class OperatorNode(ServiceCaller):
         own = f"{self.get_namespace()}/{DRIVER}".strip("/").replace("/", ".")
         if message.name == own and message.level >= LoggingSeverity.ERROR:
             self._errors.append(message.msg)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        own = self.get_namespace().strip("/")
-        for status in message.status:
-            if status.name == f"{own}/driver: timing":
-                values = {value.key: value.value for value in status.values}
-                self.late_cycles = int(values.get("missed_deadlines", 0))
 
     def _on_clock(self, message: Clock) -> None:
         self._simulated_s = message.clock.sec + 1e-9 * message.clock.nanosec
@@ -168,44 +142,32 @@ class OperatorNode(ServiceCaller):
 
     def wait_for_driver(self, timeout_s: float) -> None:
         """Wait for a message of a driver in this namespace. Raises `OperatorError` at the timeout (s)."""
-        if not self.wait(lambda: self._telemetry.driver is not None, timeout_s):
+        if not self.wait(lambda: self.telemetry.driver is not None, timeout_s):
             raise OperatorError(
                 f"no driver in {self.get_namespace()} within {timeout_s:g} s: start one "
                 "(./worm start, or ros2 launch worm_optimizer worm.launch.py), or give its namespace "
                 "and ROS_DOMAIN_ID"
             )
 
-    def subscribe_to_all(self) -> None:
-        """Subscribe to all topics of `snapshot`."""
-        self._telemetry.subscribe_to_all()
-
-    def snapshot(self) -> Snapshot:
-        """Return the latest state of the robot from the messages received so far. Any thread may call this."""
-        return self._telemetry.snapshot()
-
     def current_snapshot(self) -> Snapshot:
-        """Wait up to `TELEMETRY_S` for a message of each measurement, and return the state of the robot.
-
-        Raises `OperatorError` without a driver.
-        """
-        self.subscribe_to_all()
-        self.wait_for_driver(DISCOVERY_TIMEOUT_S)
-        self.wait(lambda: self._telemetry.is_complete, TELEMETRY_S)
-        return self.snapshot()
+        """Wait up to `TELEMETRY_S` for a message of each measurement, and return the state of the robot."""
+        self.telemetry.subscribe_to_all()
+        self.wait(lambda: self.telemetry.is_complete, TELEMETRY_S)
+        return self.telemetry.snapshot()
 
     def lifecycle_state(self) -> str:
         """Return the primary lifecycle state of the driver, such as ``active``. Raises `OperatorError`."""
-        return str(self._state(DRIVER).label)
+        return str(self._state().label)
 
     @property
     def has_driver(self) -> bool:
         """True if the ROS graph of the robot contains a driver."""
-        return self.graph.publishers("gait_state") > 0
+        return bool(self.count_publishers("gait_state") > 0)
 
     @property
     def has_lost_driver(self) -> bool:
         """True if the driver has disappeared and its latest message did not report the state inactive."""
-        driver = self._telemetry.driver
+        driver = self.telemetry.driver
         return driver is not None and driver.state is not Activity.INACTIVE and not self.has_driver
 
     def rest(self, duration_s: float) -> None:
@@ -214,34 +176,29 @@ class OperatorNode(ServiceCaller):
         self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
     @property
-    def runs_of_others(self) -> int:
-        """Number of runs that other clients started. Valid if this operator existed before the driver's first run."""
-        return self._runs - self._own_runs
-
-    @property
-    def _runs(self) -> int:
-        driver = self._telemetry.driver
+    def run_number(self) -> int:
+        """Number of the driver's latest run, whoever has started it; 0 before its first run."""
+        driver = self.telemetry.driver
         return 0 if driver is None else driver.run
+
+    def require_tracker(self) -> None:
+        """Wait until a tracker publishes. Raises `OperatorError` without one."""
+        if not self.wait(lambda: self.count_publishers("tracker") > 0, DISCOVERY_TIMEOUT_S):
+            raise OperatorError(
+                f"{self.resolve_topic_name('tracker')} has no publisher: without it neither speed nor margin can be "
+                "measured: start the tracker in the robot's namespace"
+            )
 
     # --- commands ------------------------------------------------------------------------------
 
     def activate(self) -> str:
         """Configure and activate the driver; return a report. Raises `OperatorError` if it does not become active."""
-        attempts = 0
-        while (state := self._state(DRIVER)).id != State.PRIMARY_STATE_ACTIVE:
-            if state.id not in _NEXT or attempts == ATTEMPTS:
-                raise OperatorError(f"{DRIVER} stays {state.label}: {self._reason()}")
-            attempts += 1
-            self._errors.clear()
-            self._change(DRIVER, _NEXT[state.id])
+        for origin, transition in (_CONFIGURE, _ACTIVATE):
+            if self._state().id == origin:
+                self._change(transition)
+        if (state := self._state()).id != State.PRIMARY_STATE_ACTIVE:
+            raise OperatorError(f"{DRIVER} stays {state.label}: {self._reason()}")
         return "the driver is active, its torque is on"
-
-    def configure(self) -> None:
-        """Configure the driver if it is unconfigured. Raises `OperatorError` if the transition fails."""
-        if self._state(DRIVER).id == State.PRIMARY_STATE_UNCONFIGURED:
-            self._errors.clear()
-            if not self._change(DRIVER, Transition.TRANSITION_CONFIGURE):
-                raise OperatorError(f"{DRIVER} cannot be configured: {self._reason()}")
 
     def deactivate(self) -> str:
         """Deactivate the driver if it is active, and return a report with the driver's errors meanwhile.
@@ -252,21 +209,22 @@ class OperatorNode(ServiceCaller):
             OperatorError: The driver remains active.
         """
         self._errors.clear()
-        if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE and not self._change(
-            DRIVER, Transition.TRANSITION_DEACTIVATE
-        ):
+        is_active = self._state().id == State.PRIMARY_STATE_ACTIVE
+        if is_active and not self._change(Transition.TRANSITION_DEACTIVATE):
             raise OperatorError(f"{DRIVER} does not deactivate: {self._reason()}")
         return "; ".join(("the torque is off", *self._errors))
 
     def home(self) -> str:
         """Define the present cable length as ΔL = 0; return the driver's report. Raises `OperatorError`."""
-        self.graph.require_sole_driver()
-        self.configure()
+        self.require_sole_driver()
+        origin, transition = _CONFIGURE
+        if self._state().id == origin and not self._change(transition):
+            raise OperatorError(f"{DRIVER} cannot be configured: {self._reason()}")
         return self._trigger("home")
 
     def reboot(self) -> str:
         """Restart the servos that have a hardware error; return the driver's report. Raises `OperatorError`."""
-        self.graph.require_sole_driver()
+        self.require_sole_driver()
         return self._trigger("reboot")
 
     def stop(self) -> str:
@@ -301,7 +259,7 @@ class OperatorNode(ServiceCaller):
         def is_reset() -> bool:
             nonlocal response
             self._emergency.publish(Bool(data=False))
-            response = self.call_twice(Trigger, "reset_emergency_stop", Trigger.Request())
+            response = self.call(Trigger, "reset_emergency_stop", Trigger.Request())
             return bool(response.success)
 
         if not self.wait(is_reset, REPEATED_S):  # the message may arrive after the first requests
@@ -318,7 +276,7 @@ class OperatorNode(ServiceCaller):
         return self.create_publisher(Bool, "emergency_stop", 10)
 
     def _is_stopped(self) -> bool:
-        driver = self._telemetry.driver
+        driver = self.telemetry.driver
         return driver is not None and driver.emergency_stop
 
     def inject_fault(self, name: str, **details: float) -> str:
@@ -329,18 +287,20 @@ class OperatorNode(ServiceCaller):
             details: other fields of the request InjectFault: target, delay, duration, count, value.
         """
         fault = InjectFault.Request(name=name, **details)
-        response = self.call(InjectFault, "inject_fault", fault)
+        response = self.call(InjectFault, "inject_fault", fault, attempts=1)
         if not response.success:
             raise OperatorError(response.message)
         return str(response.message)
 
+    def has_optimizer(self) -> bool:
+        """Wait up to `OPTIMIZER_S` for an optimizer; return True if there is one."""
+        client = self.named_client(RequestGait, REQUEST_GAIT)
+        return self.wait(client.service_is_ready, OPTIMIZER_S)
+
     def request_gait(
-        self,
-        request: GaitRequest,
-        direction: int = FORWARD,
-        initial_length: float = 0.0,
-    ) -> Prediction:
-        """Request a gait from the optimizer.
+        self, request: GaitRequest, direction: int = FORWARD, initial_length: float = 0.0
+    ) -> tuple[Prediction, str]:
+        """Request a gait; return it with the margin of its front and warnings, which are separated by semicolons.
 
         Args:
             request: objective, and its value if it needs one.
@@ -348,28 +308,12 @@ class OperatorNode(ServiceCaller):
             initial_length: L0, m, for example that of the twin's state; 0 for that of the optimizer's parameters.
 
         Raises:
-            UnreachableError: No gait of the front satisfies the request.
+            InputError: No gait of the front satisfies the request. The message describes the nearest gait.
             OperatorError: The optimizer does not answer, or returns no gait for another reason.
         """
-        message = RequestGait.Request(
-            objective=int(request.objective), direction=direction, initial_length=initial_length
-        )
-        if request.objective is Objective.MIN_POWER_AT_SPEED:
-            message.speed = request.value
-        elif request.objective is Objective.MAX_SPEED_AT_POWER:
-            message.power = request.value
-        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
-        if response.success:
-            self.front_description = response.message
-            return value_of(Prediction, response.prediction.gait, response.prediction)
-        if response.status == RequestGait.Response.UNREACHABLE:
-            raise UnreachableError(response.message)
-        raise OperatorError(f"the optimizer has no gait: {response.message}")
-
-    @property
-    def has_optimizer(self) -> bool:
-        """True if the optimizer was discovered."""
-        return bool(self.named_client(RequestGait, REQUEST_GAIT).service_is_ready())
+        values = {Objective.MIN_POWER_AT_SPEED: "speed", Objective.MAX_SPEED_AT_POWER: "power"}
+        value = {values[request.objective]: request.value} if request.objective in values else {}
+        return self._predicted(initial_length, int(request.objective), direction=direction, **value)
 
     def predict_gait(self, gait: Gait, initial_length: float = 0.0) -> tuple[Prediction, str]:
         """Return the optimizer's prediction of a gait, and its warnings about this gait.
@@ -380,60 +324,38 @@ class OperatorNode(ServiceCaller):
 
         Raises `OperatorError` if the gait cannot be predicted, or without an answer.
         """
-        message = RequestGait.Request(
-            objective=RequestGait.Request.GIVEN,
-            gait=GaitMessage(**dataclasses.asdict(gait)),
-            initial_length=initial_length,
-        )
-        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
+        message = GaitMessage(**dataclasses.asdict(gait))
+        return self._predicted(initial_length, RequestGait.Request.GIVEN, gait=message)
+
+    def _predicted(
+        self, initial_length: float, objective: int, **details: Any
+    ) -> tuple[Prediction, str]:
+        message = RequestGait.Request(initial_length=initial_length, objective=objective, **details)
+        response = self.call(RequestGait, REQUEST_GAIT, message)
+        if response.status == RequestGait.Response.UNREACHABLE:
+            raise InputError(response.message)
         if not response.success:
-            raise OperatorError(f"no prediction: {response.message}")
+            raise OperatorError(f"the optimizer has no prediction: {response.message}")
         prediction = value_of(Prediction, response.prediction.gait, response.prediction)
         return prediction, response.message
 
-    def begin(self, command: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
-        """Start a gait. The caller must close the returned handle.
-
-        This operator sends heartbeats while its node spins. Before each heartbeat it calls ``wanted``. If ``wanted``
-        returns False, no heartbeat is sent. Without heartbeats, the robot comes to rest.
-
-        Raises:
-            OperatorError: There is no driver, there are several, or the driver does not answer.
-        """
-        self.graph.require_sole_driver()
-        run = GaitRun(self, self._heartbeat, command, wanted)
-        try:
-            if not self.wait(lambda: run.possible, DISCOVERY_TIMEOUT_S):
-                raise OperatorError(f"no server of run_gait within {DISCOVERY_TIMEOUT_S:g} s")
-            run.send()
-            if not self.wait(lambda: run.answered, CALL_TIMEOUT_S):
-                raise NoAnswerError(f"no answer from run_gait within {CALL_TIMEOUT_S:g} s")
-        except BaseException:
-            run.close()
-            raise
-        return run
-
-    def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
-        """Set parameters of a node atomically: if a value is rejected, none is set."""
-        parameters = [Parameter(name=name, value=_value(value)) for name, value in values.items()]
-        request = SetParametersAtomically.Request(parameters=parameters)
-        service = f"{node}/set_parameters_atomically"
-        answer = self.call_twice(SetParametersAtomically, service, request).result
-        if not answer.successful:
-            raise OperatorError(f"{node} rejects new parameters: {answer.reason}")
-
-    def set_model_parameters(self, values: Mapping[str, str | float]) -> None:
-        """Set parameters of twin and optimizer, such as their parameter file and the conditions in the pipe.
+    def set_model_parameters(self, values: Mapping[str, float]) -> None:
+        """Set parameters of twin and optimizer, such as the conditions in the pipe; a node sets all of them or none.
 
         Raises:
             OperatorError: A node rejects a value or does not answer. The message states whether the twin has accepted
                 the values.
         """
-        self.set_parameters(TWIN, values)
-        try:
-            self.set_parameters(OPTIMIZER, values)
-        except OperatorError as error:
-            raise OperatorError(f"only the twin uses the new parameters: {error}") from None
+        parameters = [Parameter(n, value=float(v)).to_parameter_msg() for n, v in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        for node, accepted in ((TWIN, ""), (OPTIMIZER, "only the twin uses the new parameters: ")):
+            try:
+                service = f"{node}/set_parameters_atomically"
+                answer = self.call(SetParametersAtomically, service, request).result
+            except OperatorError as error:
+                raise OperatorError(f"{accepted}{error}") from None
+            if not answer.successful:
+                raise OperatorError(f"{accepted}{node} rejects new parameters: {answer.reason}")
 
     def conditions(self) -> Conditions:
         """Return the conditions that the optimizer assumes. Raises `OperatorError` without an optimizer."""
@@ -443,8 +365,32 @@ class OperatorNode(ServiceCaller):
     def numbers(self, node: str, names: Iterable[str]) -> list[float]:
         """Return parameters of a node that are floating-point numbers. Raises `OperatorError` without an answer."""
         request = GetParameters.Request(names=list(names))
-        answer = self.call_twice(GetParameters, f"{node}/get_parameters", request)
+        answer = self.call(GetParameters, f"{node}/get_parameters", request)
         return [value.double_value for value in answer.values]
+
+    @contextmanager
+    def started(
+        self, command: GaitCommand, wanted: Callable[[], bool] = lambda: True
+    ) -> Iterator[GaitRun]:
+        """Start a gait, and provide its run, whose heartbeats end with this context.
+
+        This operator sends heartbeats while its node spins. Before each heartbeat it calls ``wanted``. If ``wanted``
+        returns False, no heartbeat is sent. Without heartbeats, the robot comes to rest.
+
+        Raises:
+            OperatorError: There is no driver, there are several, or the driver does not answer.
+        """
+        self.require_sole_driver()
+        run = GaitRun(self, self._heartbeat, command, wanted)
+        try:
+            if not self.wait(lambda: run.possible, DISCOVERY_TIMEOUT_S):
+                raise OperatorError(f"no server of run_gait within {DISCOVERY_TIMEOUT_S:g} s")
+            run.send()
+            if not self.wait(lambda: run.answered, CALL_TIMEOUT_S):
+                raise OperatorError(f"no answer from run_gait within {CALL_TIMEOUT_S:g} s")
+            yield run
+        finally:
+            run.close()
 
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False
@@ -465,7 +411,7 @@ class OperatorNode(ServiceCaller):
         last = None
         while not run.done and not until():
             if time.monotonic() > run.received_at + SILENCE_S:
-                raise NoAnswerError(f"no feedback of the run for {SILENCE_S:g} s")
+                raise OperatorError(f"no feedback of the run for {SILENCE_S:g} s")
             self.spin()
             if run.progress is not None and run.progress is not last:
                 last = run.progress
@@ -479,22 +425,16 @@ class OperatorNode(ServiceCaller):
             GaitFailedError: The driver rejected the gait, or it did not reach its end.
             OperatorError: There is no driver, there are several, or the driver does not answer.
         """
-        before = self._runs
-        run = self.begin(command)
-        try:
+        with self.started(command) as run:
             self.follow(run, progress)
-            result = run.result
-        finally:
-            run.close()
-            self._own_runs += min(self._runs - before, 1)
-        if not result.success:
-            raise GaitFailedError(f"the gait failed: {result.message}")
-        return result
+        if not run.result.success:
+            raise GaitFailedError(f"the gait failed: {run.result.message}")
+        return run.result
 
     # --- calls ---------------------------------------------------------------------------------
 
     def _trigger(self, name: str) -> str:
-        response = self.call_twice(Trigger, name, Trigger.Request())
+        response = self.call(Trigger, name, Trigger.Request())
         if not response.success:
             raise OperatorError(f"{name}: {response.message}")
         return str(response.message)
@@ -504,18 +444,14 @@ class OperatorNode(ServiceCaller):
         self.wait(lambda: bool(self._errors), REASON_S)
         return self._errors[-1] if self._errors else "see its log for the reason"
 
-    def _state(self, node: str) -> State:
-        answer = self.call_twice(GetState, f"{node}/get_state", GetState.Request())
-        return answer.current_state
+    def _state(self) -> State:
+        """Return the lifecycle state of the driver."""
+        return self.call(GetState, f"{DRIVER}/get_state", GetState.Request()).current_state
 
-    def _change(self, node: str, transition: int) -> bool:
-        self.graph.require_sole_driver()
+    def _change(self, transition: int) -> bool:
+        """Request a transition of the driver, whose errors from now on are kept; return True if it succeeds."""
+        self.require_sole_driver()
+        self._errors.clear()
         request = ChangeState.Request(transition=Transition(id=transition))
-        response = self.call(ChangeState, f"{node}/change_state", request)
+        response = self.call(ChangeState, f"{DRIVER}/change_state", request, attempts=1)
         return bool(response.success)
-
-
-def _value(value: str | float) -> ParameterValue:
-    if isinstance(value, str):
-        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float(value))

@@ -16,14 +16,13 @@ from pathlib import Path
 from worm_model.bags.formats.finding import METADATA_FILE, TIME_FIELD
 from worm_model.errors import InputError, RecordingError
 from worm_msgs.claim import domain_of, holder
-from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.operator_node import (
     GaitFailedError,
     OperatorNode,
     RejectedStartError,
     operator,
 )
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.processes import (
     Process,
     ProcessError,
@@ -35,16 +34,13 @@ from worm_optimizer.operation.system import (
     RECORDER,
     NodeDescription,
     System,
-    installed_system_file,
-    settings_of,
 )
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 START_S = 120.0  # timeout for the start of a recorder, s; sufficient on a busy computer
 CYCLES = 5  # default number of cycles of a run
 AFTERWARDS_S = 2.0  # rest at the end of a recording, s, during which the cable becomes slack again
-BUSY = 1.5  # load average per processor above which the load may be the cause of a failure
-# Option of a recorder: after an interrupt, record until torque is released. `recording` removes it, because its
+# Option of a recorder: after an interrupt, record until torque is released. `recorded` removes it, because its
 # recorders end before the torque is released.
 _TO_REST = "--to-rest"
 FAILURES = (ProcessError, OperatorError, RecordingError)
@@ -75,15 +71,16 @@ def work_folder(program: str) -> Iterator[Path]:
     """
     folder = Path(tempfile.mkdtemp(prefix=f"worm_{program}_"))
     (folder / "logs").mkdir()
+    failed = False
     try:
         yield folder
     except FAILURES:
+        failed = True
         print(f"{program}: the logs of all nodes are in {folder / 'logs'}", file=sys.stderr)  # noqa: T201
         raise
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        if not failed:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -93,13 +90,11 @@ class Session:
     Attributes:
         group: processes of the nodes.
         node: the operator node, in the namespace of the system.
-        system: the nodes.
         say: called with each line of progress.
     """
 
     group: ProcessGroup
     node: OperatorNode
-    system: System
     say: Say
 
     def activate(self) -> None:
@@ -111,19 +106,15 @@ class Session:
         """Run a gait. If it fails, report the reason and run it once more, from rest.
 
         Raises:
-            OperatorError: The gait failed twice, or a node did not answer. After two failures, the message contains the
-                computer's load if the load may be the cause.
+            OperatorError: The gait failed twice, or a node did not answer.
         """
         try:
-            return self.node.run(command, once_per_cycle(self.say, command))
+            return self.node.run(command, once_per_cycle(self.say))
         except GaitFailedError as error:
-            self.say(f"{error}{load(self.node.late_cycles)}: once more")
-            self.node.deactivate()
-            self.node.activate()
-        try:
-            return self.node.run(command, once_per_cycle(self.say, command))
-        except GaitFailedError as error:
-            raise GaitFailedError(f"{error}, twice{load(self.node.late_cycles)}") from None
+            self.say(f"{error}: once more")
+        self.node.deactivate()
+        self.node.activate()
+        return self.node.run(command, once_per_cycle(self.say))
 
     def release(self) -> None:
         """Stop the robot and release its torque."""
@@ -150,10 +141,23 @@ def session(
         ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     group = ProcessGroup(logs)
-    watch = _Watch(group, system, say, restarts) if restarts else group.check
+    optional = {node.name for node in system.nodes if not node.required} if restarts else set()
+    left = dict.fromkeys(optional, restarts)
 
     def look() -> None:
-        watch()
+        for name, process in list(group.processes.items()):
+            if process.exit_code is None:
+                continue
+            report = process.report()
+            if name not in left:
+                raise ProcessError(report)
+            left[name] -= 1
+            if left[name] < 0:
+                group.forget(name)
+                say(f"{report}; the other nodes continue without it")
+            else:
+                group.restart(name)
+                say(f"{report}; it starts again")
         check()
 
     try:
@@ -161,8 +165,8 @@ def session(
             say(f"starting {', '.join(description.name for description in system.nodes)}")
             start_nodes(group, system)
             _wait_for_driver(group, node, system.namespace)
-            node.graph.wait_for_nodes(description.name for description in system.nodes)
-            yield Session(group, node, system, say)
+            node.wait_for_nodes(description.name for description in system.nodes)
+            yield Session(group, node, say)
             say("stopping the nodes")
     finally:
         _report_torque(group, system)
@@ -177,39 +181,10 @@ def _wait_for_driver(group: ProcessGroup, node: OperatorNode, namespace: str) ->
 
 
 def _report_torque(group: ProcessGroup, system: System) -> None:
-    """Raise `ProcessError` if a node has ended so that torque may be on."""
-    for node in system.nodes:
-        process = group.processes.get(node.name)
-        if process is not None and node.torque and process.exit_code:
-            raise ProcessError(node.end_report(process.exit_code))
-
-
-class _Watch:
-    """Supervisor of the processes of a session: restarts optional nodes, and raises an error if a required one ends."""
-
-    def __init__(self, group: ProcessGroup, system: System, say: Say, restarts: int) -> None:
-        self._group = group
-        self._say = say
-        self._optional = {node.name: restarts for node in system.nodes if not node.required}
-
-    def __call__(self) -> None:
-        """Restart optional nodes that have ended. Raises `ProcessError` if a required node has ended."""
-        for name in self._optional.keys() & self._group.processes.keys():
-            process = self._group.processes[name]
-            if process.exit_code is not None:
-                self._restart(name, process.report())
-        for process in self._group.processes.values():
-            if process.exit_code is not None:
-                raise ProcessError(process.report())
-
-    def _restart(self, name: str, report: str) -> None:
-        self._optional[name] -= 1
-        if self._optional[name] < 0:
-            self._group.forget(name)
-            self._say(f"{report}; the other nodes continue without it")
-        else:
-            self._group.restart(name)
-            self._say(f"{report}; it starts again")
+    """Raise `ProcessError` if the driver has ended so that torque may be on."""
+    driver = group.processes.get(DRIVER)
+    if driver is not None and driver.exit_code and system.node(DRIVER).torque:
+        raise ProcessError(system.node(DRIVER).end_report(driver.exit_code))
 
 
 def start_nodes(group: ProcessGroup, system: System) -> None:
@@ -226,56 +201,21 @@ def start_node(group: ProcessGroup, node: NodeDescription, namespace: str) -> Pr
     )
 
 
-@contextmanager
-def recording(
-    group: ProcessGroup, node: OperatorNode, recorder: NodeDescription, name: str
-) -> Iterator[Path]:
-    """Record with a separate recorder during this context, and provide the path of the bag.
-
-    The context begins when the recorder has subscribed to all topics. After the context, the recorder records for
-    another `AFTERWARDS_S` and then closes the bag.
-
-    Args:
-        group: processes to which the recorder is added.
-        node: the operator.
-        recorder: description of the recorder in the system file.
-        name: name of the process and node of the new recorder, which must be unique.
-    """
-    words = tuple(word for word in recorder.arguments if word != _TO_REST)
-    own = replace(recorder, name=name, arguments=words)
-    bag = bag_of(start_node(group, own, node.get_namespace().strip("/")))
-    node.graph.wait_for_recorder(name)
-    yield bag
-    node.rest(AFTERWARDS_S)
-    group.end(name)
-
-
 def bag_of(recorder: Process) -> Path:
     """Return the path of a recorder's bag. The recorder logs this path at its start."""
     return Path(recorder.wait_for_line(r": recording to (.+)$", START_S)[1])
 
 
-def once_per_cycle(say: Say, command: GaitCommand) -> Callable[[RunProgress], None]:
+def once_per_cycle(say: Say) -> Callable[[RunProgress], None]:
     """Return a callback that reports the progress of a run once per cycle, as one line."""
-    reported = {0}
+    reported: set[int] = set()
 
     def progress(now: RunProgress) -> None:
         if now.cycle not in reported:
             reported.add(now.cycle)
-            say(f"cycle {now.cycle} of {command.cycles}" if command.cycles else str(now))
+            say(str(now))
 
     return progress
-
-
-def load(late_cycles: int) -> str:
-    """Return a remark on the computer's load for an error message; empty if the load is low and no cycle was late."""
-    average, processors = os.getloadavg()[0], os.cpu_count() or 1
-    shares = []
-    if average > BUSY * processors:
-        shares.append(f"load average {average:.1f} on {processors} processors")
-    if late_cycles:
-        shares.append(f"{late_cycles} cycles of the driver late")
-    return f" (the computer was busy: {', '.join(shares)})" if shares else ""
 
 
 def new_bag(folder: Path, kind: str = "run") -> Path:
@@ -296,35 +236,30 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
 
 
 @contextmanager
-def recorded(
-    node: OperatorNode, bag: Path, parameter_file: str, conditions: Conditions, name: str
-) -> Iterator[Path]:
-    """Record during this context with a separate recorder, and provide the path of the bag; see `recording`.
+def recorded(node: OperatorNode, recorder: NodeDescription) -> Iterator[Path]:
+    """Record during this context with a recorder of its own, and provide the path of the bag.
 
-    If the driver rejects the gait, the bag is removed.
+    The context begins when the recorder has subscribed to all topics. After the context, the recorder records for
+    another `AFTERWARDS_S` and then closes the bag. If the driver rejects the gait, the bag is removed.
 
     Args:
         node: the operator.
-        bag: path of a new bag, see `new_bag`.
-        parameter_file: parameter file to store in the bag; empty: none.
-        conditions: conditions to store in the bag.
-        name: last part of the name of the recorder's node, unique among all recorders.
+        recorder: description of the recorder, see `Robot.recorder` and `system.recorder_of`.
     """
-    system = installed_system_file().system(
-        "robot",
-        node.get_namespace().strip("/"),
-        bag=str(bag),
-        parameter_file=str(Path(parameter_file).resolve()) if parameter_file else "",
-        **settings_of(conditions),
-    )
+    name = f"{RECORDER}_{os.getpid()}_{time.monotonic_ns()}"  # unique among all recorders
+    words = tuple(word for word in recorder.arguments if word != _TO_REST)
     with (
         ExitStack() as removal,
         work_folder("record") as work,
         ProcessGroup(work / "logs") as group,
-        recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}") as path,
     ):
+        own = replace(recorder, name=name, arguments=words)
+        bag = bag_of(start_node(group, own, node.get_namespace().strip("/")))
+        node.wait_for_recorder(name)
         try:
-            yield path
+            yield bag
         except (InputError, RejectedStartError):  # nothing moved
-            removal.callback(shutil.rmtree, path)  # when the recorder has ended
+            removal.callback(shutil.rmtree, bag)  # when the recorder has ended
             raise
+        node.rest(AFTERWARDS_S)
+        group.end(name)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.analysis.plot_style import BLUE, VERMILION, finish, new_figure, save_figure
 from worm_model.commands.command_line import finite
 from worm_model.errors import InputError
 from worm_model.gait import named_values
@@ -20,7 +19,6 @@ from worm_model.text_table import text_table
 from worm_msgs.conditions import LEVEL
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import (
-    COMPARED,
     LEVEL_GROUND,
     NOMINAL,
     QUANTITIES,
@@ -38,7 +36,6 @@ from worm_optimizer.search.front import (
 )
 from worm_optimizer.search.search_settings import Settings, Waveform
 
-_WIDTH = 0.3  # half the length of a prediction's line; neighbouring gaits are 1 apart
 PROMISES = "promised.json"  # name of the file with the predictions of a campaign
 
 
@@ -50,14 +47,21 @@ class Plan:
     optimisation: Optimisation
 
 
-def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Plan:
+def make_plan(
+    content: ParameterFile, settings: Settings, direction: int, *, nominal: bool = False
+) -> Plan:
     """Return a plan with the minimum-power, cruising and maximum-speed gaits of the front.
+
+    Each of them is followed by the gaits with which it is compared: under conditions other than level ground, the
+    corresponding gait that is designed for level ground; in a plan of shaped gaits, the corresponding sinusoid. These
+    gaits are designed with the plan's criterion of robustness. If this is the margin, they have the same margin.
 
     Args:
         content: parameters of the robot.
         settings: settings of the search. If the criterion is the margin and they contain none, the last margin before
             the cliff is used.
         direction: FORWARD or REVERSE.
+        nominal: True to compare each gait also with the corresponding gait that is designed without a margin.
     """
     price = scanned_price(content, settings, direction)
     if settings.scans_margins:  # the scan is not repeated
@@ -65,25 +69,8 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
         front = replace(front, reason=reason_for(price))
     else:
         front = make_front(content, settings, direction)
-    return Plan(front.three, Optimisation(front, price))
-
-
-def with_comparisons(
-    plan: Plan, content: ParameterFile, settings: Settings, direction: int, *, nominal: bool
-) -> Plan:
-    """Return a plan in which each of the three gaits is followed by gaits with which it is compared.
-
-    Under conditions other than level ground, each gait is compared with the corresponding gait that is designed for
-    level ground. In a plan of shaped gaits, each gait is compared with the corresponding sinusoid. These gaits are
-    designed with the plan's criterion of robustness. If this is the margin, they have the same margin as the plan.
-
-    Args:
-        plan: plan with three gaits.
-        content, settings, direction: the arguments of `make_plan`.
-        nominal: True to compare each gait also with the corresponding gait that is designed without a margin.
-    """
-    settings = settings.with_margin(plan.optimisation.front.margin)
-    compared: dict[str, Mapping[str, Prediction]] = {}
+    settings = settings.with_margin(front.margin)
+    compared: dict[str, Mapping[str, Prediction]] = {"": front.three}
     if nominal:
         compared[NOMINAL] = nominal_gaits(content, settings, direction)
     if settings.conditions != LEVEL:
@@ -93,11 +80,9 @@ def with_comparisons(
         sinusoid = replace(settings, waveform=Waveform.SINUSOID)
         compared[SINUSOIDAL] = make_front(content, sinusoid, direction).three
     gaits = {
-        prefix + name: group[name]
-        for name in plan.gaits
-        for prefix, group in {"": plan.gaits, **compared}.items()
+        prefix + name: group[name] for name in front.three for prefix, group in compared.items()
     }
-    return replace(plan, gaits=gaits)
+    return Plan(gaits, Optimisation(front, price))
 
 
 def promise(plan: Plan, folder: Path) -> None:
@@ -117,31 +102,6 @@ def _promises(plan: Plan) -> str:
     return json.dumps(finite(content), allow_nan=False, indent=2)
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Statistics of the repeats of one gait.
-
-    Attributes:
-        name: name of the gait.
-        repeats: number of repeats.
-        promised: predicted grooves per cycle.
-        kept: number of repeats that gained the predicted grooves in every averaged cycle.
-        means: mean of each quantity, by name, SI units.
-        deviations: standard deviation of each quantity, by name, SI units; NaN for a single repeat.
-        speeds: speed of each repeat, m/s.
-        promised_speed: predicted speed with the margin, m/s.
-    """
-
-    name: str
-    repeats: int
-    promised: int
-    kept: int
-    means: Mapping[str, float]
-    deviations: Mapping[str, float]
-    speeds: tuple[float, ...]
-    promised_speed: float
-
-
 def run_names(gaits: Sequence[str], repeats: int) -> dict[str, str]:
     """Return a mapping from the name of each run to the name of its gait, in the order of the runs.
 
@@ -152,69 +112,28 @@ def run_names(gaits: Sequence[str], repeats: int) -> dict[str, str]:
     return {f"{name}_{k}": name for k in range(1, repeats + 1) for name in gaits}
 
 
-def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spread:
-    """Return the statistics of the repeats of one gait.
-
-    Args:
-        name: name of the gait.
-        promise: prediction of the gait before the runs.
-        runs: the recorded repeats, at least one.
-    """
-    pitch = runs[0].content.parameters.pitch
-    promised = round(promise.grooves_per_cycle)
-    values = {
-        quantity: np.array([getattr(run.measured, quantity).value for run in runs])
-        for quantity in QUANTITIES
-    }
-    poorest = [run.measured.speed.low / (pitch * run.gait.frequency) for run in runs]
-    return Spread(
-        name=name,
-        repeats=len(runs),
-        promised=promised,
-        kept=sum(grooves > promised - 0.5 for grooves in poorest),
-        means={quantity: float(np.mean(measured)) for quantity, measured in values.items()},
-        deviations={
-            quantity: float(np.std(measured, ddof=1)) if len(runs) > 1 else math.nan
-            for quantity, measured in values.items()
-        },
-        speeds=tuple(values["speed"].tolist()),
-        promised_speed=promise.speed,
-    )
-
-
-def spread_table(spreads: Sequence[Spread]) -> str:
+def spread_table(
+    promises: Mapping[str, Prediction], runs: Mapping[str, Sequence[RecordedGait]]
+) -> str:
     """Return a text table with a row for each gait.
 
-    It contains the number of repeats that gained the predicted grooves, and mean ± standard deviation of each quantity.
+    It contains the number of repeats that gained the predicted grooves in every averaged cycle, and mean ± standard
+    deviation (NaN for a single repeat) of each quantity.
+
+    Args:
+        promises: prediction of each gait before the runs, by name.
+        runs: recorded repeats of each gait, at least one, by name.
     """
     rows = [("gait", "grooves as predicted", *(quantity.title for quantity in QUANTITIES.values()))]
-    for row in spreads:
-        kept = f"{row.kept} of {row.repeats} ({row.promised} a cycle)"
-        cells = (
-            f"{quantity.text(row.means[key])} ± {quantity.text(row.deviations[key])}"
-            for key, quantity in QUANTITIES.items()
-        )
-        rows.append((title_of(row.name), kept, *cells))
+    for name, promise in promises.items():
+        repeats, promised = runs[name], round(promise.grooves_per_cycle)
+        pitch = repeats[0].content.parameters.pitch
+        poorest = [run.measured.speed.low / (pitch * run.gait.frequency) for run in repeats]
+        kept = sum(grooves > promised - 0.5 for grooves in poorest)
+        cells = [title_of(name), f"{kept} of {len(repeats)} ({promised} a cycle)"]
+        for key, quantity in QUANTITIES.items():
+            values = [getattr(run.measured, key).value for run in repeats]
+            deviation = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+            cells.append(f"{quantity.text(float(np.mean(values)))} ± {quantity.text(deviation)}")
+        rows.append(tuple(cells))
     return text_table(rows)
-
-
-def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
-    """Write the figure of the speeds: a dot for each repeat, and a line for the prediction with the margin."""
-    figure = new_figure(1.6 + 1.3 * len(spreads), 3.6)
-    axes = figure.add_subplot()
-    for place, row in enumerate(spreads):
-        color = VERMILION if row.name.startswith(tuple(COMPARED)) else BLUE
-        aside = np.linspace(-_WIDTH / 2, _WIDTH / 2, row.repeats) if row.repeats > 1 else [0.0]
-        axes.plot(place + np.asarray(aside), 1e3 * np.array(row.speeds), "o", color=color)
-        level = 1e3 * row.promised_speed
-        axes.plot([place - _WIDTH, place + _WIDTH], [level, level], color="black", linewidth=1.2)
-    axes.set_xticks(
-        range(len(spreads)),
-        [
-            f"{title_of(row.name).replace(', ', chr(10))}\n{row.kept} of {row.repeats} as predicted"
-            for row in spreads
-        ],
-    )
-    axes.set_ylim(bottom=0.0)
-    finish(axes, "speed (mm/s)", "line: prediction with the margin; dot: one run")
-    save_figure(figure, path)

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from worm_model.analysis.run_metrics import last_played_gait
@@ -15,10 +13,9 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError
 from worm_model.gait import Gait
-from worm_optimizer.nodes.operator_node import OperatorNode
-from worm_optimizer.nodes.robot_telemetry import TrackerWatch
-from worm_optimizer.operation.bring_up import CYCLES, Say, Session, recording, session
-from worm_optimizer.operation.system import RECORDER, Robot, System
+from worm_optimizer.nodes.operator_node import OPTIMIZER
+from worm_optimizer.operation.bring_up import Say, Session, recorded, session
+from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.tuning import TuneState, Tuning
 
@@ -26,8 +23,10 @@ from worm_optimizer.robustness.tuning import TuneState, Tuning
 Prepare = Callable[[Session, str], None]
 
 _ELSEWHERE = "this run may have started at another position and with bent fins"
-_TRACKER = "tracker"
-_NO_TRACKER = "without it neither speed nor margin can be measured: start the tracker in the robot's namespace"
+
+
+def at_once(_running: Session, _text: str) -> None:
+    """Do nothing before a run."""
 
 
 def run_gaits(
@@ -36,7 +35,7 @@ def run_gaits(
     folder: Path,
     logs: Path,
     say: Say,
-    prepare: Prepare = lambda _running, _text: None,
+    prepare: Prepare = at_once,
 ) -> None:
     """Run each gait and record it as ``folder/NAME``. After the last gait, bring the robot to rest and release torque.
 
@@ -57,40 +56,26 @@ def run_gaits(
             say(f"{name}: recorded already")
     if not missing:
         return
-    with gait_recorder(robot, logs, say, prepare) as record:
-        for name, order in missing.items():
-            record(folder / name, order)
-
-
-@contextmanager
-def gait_recorder(
-    robot: Robot, logs: Path, say: Say, prepare: Prepare
-) -> Iterator[Callable[[Path, GaitCommand], None]]:
-    """Start the robot's nodes, and provide a function that runs a gait and records it as a bag; see `run_gaits`."""
-    with session(robot.system(), logs, say) as running:
-        require_tracker(running.node)
+    whole = robot.system()
+    # The front is known, so that no optimizer is needed.
+    system = replace(whole, nodes=tuple(each for each in whole.nodes if each.name != OPTIMIZER))
+    with session(system, logs, say) as running:
+        node = running.node
+        node.require_tracker()
         running.activate()
-        TrackerWatch(running.node, lambda: running.node.robot_time_s, say)
-        others = 0
-
-        def record(bag: Path, order: GaitCommand) -> None:
-            nonlocal others
-            prepare(running, f"{bag.name}: {order}")
-            put_aside(bag, say)
-            _record_gait(running, robot.recording_system(bag), bag.name, order)
+        latest = node.run_number
+        for name, order in missing.items():
+            prepare(running, f"{name}: {order}")
+            put_aside(folder / name, say)
+            say(f"{name}: {order}")
+            with recorded(node, robot.recorder(folder / name)) as bag:
+                if node.run_number != latest:
+                    say(f"{name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
+                running.run_gait(order)
+            latest = node.run_number
             if not is_recorded(bag):
-                say(f"{bag.name}: the tracker missed the end of the gait; --resume runs it again")
-            if running.node.runs_of_others > others:
-                others = running.node.runs_of_others
-                say(f"{bag.name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
-
-        yield record
+                say(f"{name}: the tracker missed the end of the gait; --resume runs it again")
         running.release()
-
-
-def require_tracker(node: OperatorNode) -> None:
-    """Wait until a tracker publishes. Raises `OperatorError`, with the remedy, without a tracker."""
-    node.graph.wait_for_publisher(_TRACKER, _NO_TRACKER)
 
 
 def is_recorded(bag: Path) -> bool:
@@ -119,14 +104,7 @@ def put_aside(bag: Path, say: Say) -> None:
     say(f"{bag.name}: is incomplete, renamed to {aside.name}")
 
 
-def _record_gait(running: Session, system: System, name: str, order: GaitCommand) -> None:
-    running.say(f"{name}: {order}")
-    with recording(running.group, running.node, system.node(RECORDER), f"{RECORDER}_{name}"):
-        running.run_gait(order)
-
-
 MOST_RUNS = 5
-TUNING = "tuning"  # folder of a campaign's bags
 
 #: Runs a gait and returns its bag. Arguments: the gait, and the number of the run from 1. Raises an exception to end.
 Record = Callable[[Gait, int], Path]
@@ -162,41 +140,3 @@ def tune_gait(gait: Gait, record: Record, measure: Measure, say: Callable[[str],
             break
         gait = step.gait
     return Tuned(step, tuple(bags))
-
-
-def tune_gaits(
-    robot: Robot,
-    gaits: Mapping[str, tuple[Gait, Measure]],
-    folder: Path,
-    logs: Path,
-    say: Say,
-    prepare: Prepare,
-) -> dict[str, Tuned]:
-    """Tune gaits one after the other, with run N recorded as ``folder/tuning/NAME_N``; see `tune_gait`.
-
-    Complete recordings of an interrupted campaign are measured again instead of run again. The robot's nodes are
-    started when the first run is missing.
-
-    Args:
-        robot: the robot.
-        gaits: by name, the first gait and the measurement of its bags.
-        folder: folder of the campaign.
-        logs: folder of the log files.
-        say: called with each line of progress.
-        prepare: called before each run; raises an exception to end the campaign.
-    """
-    runs = folder / TUNING
-    runs.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as nodes:
-        recorder = cache(lambda: nodes.enter_context(gait_recorder(robot, logs, say, prepare)))
-
-        def tuned(name: str, first: Gait, measure: Measure) -> Tuned:
-            def record(gait: Gait, number: int) -> Path:
-                bag = runs / f"{name}_{number}"
-                if not is_recorded(bag):
-                    recorder()(bag, GaitCommand(gait, CYCLES))
-                return bag
-
-            return tune_gait(first, record, measure, say)
-
-        return {name: tuned(name, *each) for name, each in gaits.items()}

@@ -21,8 +21,7 @@ from worm_model.identification.report.identification_report import (
 )
 from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
-from worm_optimizer.operation.bring_up import Say, Session
-from worm_optimizer.operation.campaign_runs import Prepare, run_gaits
+from worm_optimizer.operation.bring_up import Session
 from worm_optimizer.operation.processes import ProcessError, ProcessGroup, executable_command
 from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
@@ -63,24 +62,6 @@ def identification_orders(direction: int, pitch: float) -> dict[str, GaitCommand
         )
         for gait in GAITS
     }
-
-
-def record_identification(
-    robot: Robot,
-    orders: dict[str, GaitCommand],
-    folder: Path,
-    logs: Path,
-    say: Say,
-    prepare: Prepare,
-) -> list[Path]:
-    """Run and record the gaits that are missing in ``folder/identification``, and return all bags.
-
-    ``prepare`` moves the robot back to its start before each run, see `put_back`. Raises the errors of `run_gaits`.
-    """
-    runs = folder / RUNS
-    runs.mkdir(exist_ok=True)
-    run_gaits(robot, orders, runs, logs, say, prepare)
-    return [runs / name for name in orders]
 
 
 def put_back(running: Session, text: str) -> None:

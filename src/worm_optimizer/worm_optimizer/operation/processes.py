@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
@@ -205,7 +205,7 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
         yield lambda: count
 
 
-class ProcessGroup:
+class ProcessGroup(contextlib.AbstractContextManager["ProcessGroup"]):
     """Processes that end with this context, in the reverse order of their start.
 
     Args:
@@ -286,15 +286,7 @@ class ProcessGroup:
                 for process in self.processes.values():
                     process.release()
 
-    def __enter__(self) -> ProcessGroup:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
 

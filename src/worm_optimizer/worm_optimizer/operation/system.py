@@ -8,7 +8,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,9 +21,6 @@ from worm_msgs.settings_file import OneOf, key, read_settings
 from worm_msgs.yaml_file import unknown_name
 
 DRIVER, RECORDER = "driver", "recorder"  # names of nodes in system.yaml
-# Nodes that a campaign does not start: the front is known, and each gait has its own recorder.
-_UNUSED = {"optimizer", RECORDER}
-
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
 MODES = ("robot", "virtual", "replay")
@@ -153,11 +150,9 @@ class SystemFile:
             settings: settings that differ from their defaults.
 
         Raises:
-            InputError: The mode or a setting is unknown, or a number is malformed.
+            InputError: A setting is unknown, or a number is malformed.
         """
         namespace = namespace or self.namespace
-        if mode not in MODES:
-            raise InputError(f"mode {mode!r}: choose one of {', '.join(MODES)}")
         unknown = sorted(set(settings) - set(self.settings))
         if unknown:
             raise InputError(unknown_name("setting", unknown[0], self.settings))
@@ -216,19 +211,6 @@ def settings_of(conditions: Conditions) -> dict[str, str]:
     return {name: repr(getattr(conditions, name)) for name in CONDITION_ROWS}
 
 
-def conditions_of(settings: Mapping[str, str]) -> Conditions:
-    """Return the conditions in the pipe from settings; the inverse of `settings_of`.
-
-    The condition of a missing or empty setting has its default, that of level ground.
-
-    Raises:
-        InputError: A setting is not a finite number.
-        ConditionsError: The conditions are not admissible.
-    """
-    stated = {name: _number(name, settings[name]) for name in CONDITION_ROWS if settings.get(name)}
-    return Conditions(**stated)
-
-
 def _parameters(
     parameters: Mapping[str, Value], values: Mapping[str, str | float]
 ) -> dict[str, Value]:
@@ -275,24 +257,35 @@ class Robot:
 
     @property
     def conditions(self) -> Conditions:
-        """Conditions in the pipe according to the settings. Raises the errors of `conditions_of`."""
-        return conditions_of(self.settings)
+        """Conditions in the pipe according to the settings, by default those of level ground.
 
-    def system(self) -> System:
-        """Return the system of the nodes that run during a whole campaign: all but optimizer and recorder."""
-        whole = self.file.system(self.mode, **self.settings)
-        return System(
-            whole.namespace, tuple(node for node in whole.nodes if node.name not in _UNUSED)
-        )
+        Raises:
+            InputError: A setting is not a finite number.
+            ConditionsError: The conditions are not admissible.
+        """
+        names = [name for name in CONDITION_ROWS if self.settings.get(name)]
+        return Conditions(**{name: _number(name, self.settings[name]) for name in names})
 
-    def in_folder(self, folder: Path) -> Robot:
-        """Return the same robot with its sockets in ``folder``, unless the settings name a folder already."""
-        return replace(self, settings={"directory": str(folder), **self.settings})
+    def system(self, namespace: str = "", **changes: str) -> System:
+        """Return the system of this robot in a namespace (empty: that of the file), with changed settings."""
+        return self.file.system(self.mode, namespace, **{**self.settings, **changes})
 
-    def with_parameters(self, file: str) -> Robot:
-        """Return the same robot with another parameter file."""
-        return replace(self, settings={**self.settings, "parameter_file": file})
+    def recorder(self, bag: Path, namespace: str = "") -> NodeDescription:
+        """Return the recorder of this robot, which records into ``bag``."""
+        return self.system(namespace, bag=str(bag)).node(RECORDER)
 
-    def recording_system(self, bag: Path) -> System:
-        """Return the system of the same robot, in which the recorder records into ``bag``."""
-        return self.file.system(self.mode, **{**self.settings, "bag": str(bag)})
+
+def recorder_of(
+    namespace: str, bag: Path, parameter_file: str, conditions: Conditions
+) -> NodeDescription:
+    """Return the description of a recorder in the namespace of a running robot.
+
+    Args:
+        namespace: the robot's namespace.
+        bag: path of a new bag, see `bring_up.new_bag`.
+        parameter_file: parameter file to store in the bag; empty: none.
+        conditions: conditions to store in the bag.
+    """
+    file = str(Path(parameter_file).resolve()) if parameter_file else ""
+    settings = settings_of(conditions) | {"parameter_file": file}
+    return Robot(installed_system_file(), "robot", settings).recorder(bag, namespace.strip("/"))

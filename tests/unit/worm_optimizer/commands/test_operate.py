@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command operate, as far as it needs no robot."""
 
-import math
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ from worm_model.run import Activity
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_msgs.gait import Gait
 from worm_optimizer.commands import operate, operate_run
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.robot_commands import GaitCommand, RunResult
 
 
@@ -20,12 +20,8 @@ class Robot:
     """Fake operator of a robot with or without an optimizer, which assumes conditions."""
 
     def __init__(self, *, has_optimizer: bool) -> None:
-        self.has_optimizer = has_optimizer
+        self.has_optimizer = lambda: has_optimizer
         self.parameters: dict[str, float] = {}
-        self.graph = self
-
-    def has_node(self, name: str) -> bool:
-        return self.has_optimizer
 
     def set_model_parameters(self, values: dict[str, float]) -> None:
         self.parameters = values
@@ -57,10 +53,7 @@ def test_without_an_optimizer_the_conditions_are_those_of_the_options():
 
 
 def test_a_run_without_a_complete_cycle_names_its_recording():
-    nothing = dict.fromkeys(
-        ("grooves", "distance", "speed", "power", "cost_of_transport", "idle_power"), math.nan
-    )
-    result = RunResult(Gait(0.05, 0.2), False, "stopped", 0, 0, **nothing)
+    result = RunResult(Gait(0.05, 0.2), False, "stopped")
     assert "bags/run" in operate_run._result_text(result, Path("bags/run"))
     assert operate_run._result_text(result, None) == "stopped"
 
@@ -74,11 +67,11 @@ def test_a_run_without_a_complete_cycle_names_its_recording():
     ],
 )
 def test_a_gait_that_a_ready_driver_rejects_is_bad_input(state, emergency_stop, error):
-    result = RunResult(Gait(0.2, 0.2), False, "rejected: because", 0, 0, *6 * (math.nan,))
-    run = SimpleNamespace(rejected=True, result=result, close=lambda: None)
+    result = RunResult(Gait(0.2, 0.2), False, "rejected: because")
+    run = SimpleNamespace(rejected=True, result=result)
     driver = SimpleNamespace(state=state, emergency_stop=emergency_stop)
     robot = SimpleNamespace(
-        begin=lambda _: run,
+        started=lambda _: nullcontext(run),
         follow=lambda *_: True,
         current_snapshot=lambda: SimpleNamespace(driver=driver),
     )

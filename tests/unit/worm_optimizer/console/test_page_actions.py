@@ -3,7 +3,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +14,8 @@ from worm_msgs.conditions import LEVEL
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.operator_node import RejectedStartError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.robot_commands import GaitCommand, RunResult
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
@@ -23,20 +23,19 @@ GAIT = Gait(0.03, 0.2, 1)
 
 
 def run(
-    monkeypatch: pytest.MonkeyPatch,
-    *cancellations: str,
-    success: bool,
-    rejected: bool = False,
-    bag: Path = Path("run_1"),
+    monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool, rejected: bool = False
 ) -> str:
     """Run a gait with the responses of `cancellation`, from the start of the run to its end."""
-    result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
-    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=rejected)
+    gait_run = SimpleNamespace(result=RunResult(GAIT, success, "the result"), rejected=rejected)
     node = SimpleNamespace(
-        begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
+        started=lambda *_: nullcontext(gait_run),
+        follow=lambda *_: None,
+        conditions=lambda: LEVEL,
+        get_namespace=lambda: "/worm",
     )
-    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(bag))
-    monkeypatch.setattr(page_actions, "new_bag", lambda _: Path("run_1"))
+    for name in ("recorder_of", "new_bag"):
+        monkeypatch.setattr(page_actions, name, lambda *_: None)
+    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(Path("run_1")))
     answers = iter(cancellations)
     command = GaitCommand(GAIT, cycles=2)
     return page_actions.run(node, command, Path(), "", lambda: next(answers), lambda _: None)
@@ -58,35 +57,25 @@ def test_a_cancelled_run_does_not_start(monkeypatch: pytest.MonkeyPatch):
         run(monkeypatch, STOP_PRESSED, success=True)
 
 
-def test_a_rejected_gait_leaves_no_bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    bag = tmp_path / "run_1"
-    bag.mkdir()
-    with pytest.raises(OperatorError, match="the result"):
-        run(monkeypatch, "", "", success=False, rejected=True, bag=bag)
-    assert not bag.exists()
+def test_a_rejected_gait_is_an_error_within_its_recording(monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(RejectedStartError, match="the result"):
+        run(monkeypatch, "", "", success=False, rejected=True)
 
 
 class Optimizer:
     """Fake operator whose front has a power of speed squared; a gait may be faster than requested."""
 
-    has_optimizer, front_description = True, "margin 3.00 mm"
+    def __init__(self, *, exists: bool = True) -> None:
+        self.has_optimizer = lambda: exists
 
-    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        return condition()
-
-    def request_gait(self, request: GaitRequest, direction: int, length: float) -> Prediction:
+    def request_gait(
+        self, request: GaitRequest, direction: int, length: float
+    ) -> tuple[Prediction, str]:
         fixed = {Objective.MIN_POWER: 1e-3, Objective.CRUISE: 2.5e-3, Objective.MAX_SPEED: 8e-3}
-        speed = fixed.get(request.objective, math.ceil(1e3 * request.value) * 1e-3)
+        speed = fixed.get(request.objective) or math.ceil(1e3 * request.value) * 1e-3
         values = dict.fromkeys((row.name for row in dataclasses.fields(Prediction)), 0.1)
-        return Prediction(
-            **{
-                **values,
-                "direction": direction,
-                "profile": 0,
-                "speed": speed,
-                "groove_phase": length,
-            }
-        )
+        known = {"direction": direction, "profile": 0, "speed": speed, "groove_phase": length}
+        return Prediction(**(values | known)), "margin 3.00 mm; warning: none"
 
 
 def test_a_front_is_read_by_rising_speed_and_contains_the_cruise():
@@ -98,10 +87,8 @@ def test_a_front_is_read_by_rising_speed_and_contains_the_cruise():
 
 
 def test_without_an_optimizer_there_is_no_front_at_once():
-    optimizer = Optimizer()
-    optimizer.has_optimizer = False
     with pytest.raises(OperatorError, match="no optimizer"):
-        page_actions.read_front(optimizer, 1, 0.0)
+        page_actions.read_front(Optimizer(exists=False), 1, 0.0)
 
 
 def test_a_front_that_ends_elsewhere_than_before_says_so_with_both_groove_phases():

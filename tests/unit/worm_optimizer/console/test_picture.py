@@ -52,14 +52,6 @@ def test_the_wall_has_a_groove_at_the_anchor():
     assert phase - math.floor(phase) == pytest.approx(0.25, abs=1e-3)
 
 
-def test_bellows_fold_as_they_shorten():
-    def fold(front: float) -> float:
-        return points(shapes(drawn(replace(TWIN, front_position=front)), "bellows")[0])[4]
-
-    assert fold(0.40) == pytest.approx(270.0 / 26, abs=0.01)
-    assert fold(0.35) == pytest.approx(220.0 / 26, abs=0.01)
-
-
 def test_a_robot_that_is_not_measured_is_not_drawn():
     assert shapes(drawn(robot=SEEN), "robot")
     assert shapes(drawn(), "robot") == []
@@ -74,10 +66,6 @@ def test_fins_show_what_they_do_without_colours_too():
         assert f"rear fins {kind}" in text
     resting = replace(TWIN, rear_anchor=0.10, front_anchor=0.40)
     assert len(shapes(drawn(resting), "touch")) == 4
-
-
-def test_without_a_twin_there_is_a_note():
-    assert "no data of the twin" in picture(None, UNSEEN, PAPER, 1)
 
 
 def test_the_view_rests_while_the_robot_moves_a_little():

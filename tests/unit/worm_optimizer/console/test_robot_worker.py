@@ -10,7 +10,7 @@ from waiting import TIMEOUT_S, wait_for
 
 from worm_model.run import Activity
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.bring_up import Check, Say
 from worm_optimizer.robot_commands import DriverState, Snapshot
 
@@ -23,7 +23,7 @@ class Node:
         self.meanwhile: Callable[[], None] = lambda: None
         self.broken = ""
         self.has_driver, self.has_lost_driver = True, False
-        self.known = Snapshot()
+        self.known, self.telemetry = Snapshot(), self
 
     def subscribe_to_all(self) -> None: ...
 
@@ -86,13 +86,25 @@ class Bench:
     def submit(self, command: Callable[[object], str]) -> None:
         wait_for(lambda: self.worker.submit("working", command))
 
+    def begin(self, end: Callable[[], object]) -> None:
+        """Submit a command, and wait until it has begun. It reports its cancellation after ``end`` returns."""
+        begun = threading.Event()
+
+        def work(node: object) -> str:
+            begun.set()
+            end()
+            return f"ended: {self.worker.cancellation}"
+
+        self.submit(work)
+        assert begun.wait(TIMEOUT_S)
+
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
     bench = Bench()
     bench.worker.start()
     yield bench
-    bench.close()
+    bench.close()  # at once if the test has closed it
 
 
 def test_a_lost_driver_is_reported_once(bench: Bench):
@@ -113,66 +125,44 @@ def test_there_is_no_state_of_a_driver_that_has_ended(bench: Bench):
     assert bench.worker.snapshot().power == 2.0
 
 
-def test_a_stop_is_unconfirmed_until_the_driver_answers(bench: Bench):
-    bench.worker.stop()
-    assert bench.notice("holding").good
-    wait_for(lambda: not bench.worker.stopping)
-
-
-def test_one_command_at_a_time_and_stop_at_any_time(bench: Bench):
-    begun, release = threading.Event(), threading.Event()
-
-    def work(node: object) -> str:
-        begun.set()
-        release.wait(TIMEOUT_S)
-        return "stopped" if bench.worker.cancellation else "not stopped"
-
-    bench.submit(work)
-    assert begun.wait(TIMEOUT_S)
-    assert not bench.worker.submit("more", lambda node: "more")
+def test_a_stop_does_not_wait_for_the_present_command_which_learns_of_it(bench: Bench):
+    release = threading.Event()
+    bench.begin(lambda: release.wait(TIMEOUT_S))
     assert bench.worker.busy == "working"
     assert bench.worker.hindrance
     bench.worker.stop()
     assert "STOP" in bench.worker.busy
-    assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # while the other one still waits
+    assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)
+    assert bench.notice("holding").good
+    wait_for(lambda: not bench.worker.stopping)
     release.set()
-    bench.notice("stopped")
-    bench.submit(lambda node: "stopped still" if bench.worker.cancellation else "free again")
-    bench.notice("free again")
+    bench.notice("ended: STOP was pressed")
+    wait_for(lambda: not bench.worker.busy)
+    bench.begin(lambda: None)
+    bench.notice("ended: ")  # the next command is not cancelled
 
 
 def test_one_command_may_wait_for_the_end_of_the_present_one(bench: Bench):
-    begun, release = threading.Event(), threading.Event()
-
-    def work(node: object) -> str:
-        begun.set()
-        release.wait(TIMEOUT_S)
-        return "first"
-
-    bench.submit(work)
-    assert begun.wait(TIMEOUT_S)
-    assert bench.worker.submit_next("deactivating", lambda node: bench.worker.busy)
-    assert not bench.worker.submit_next("again", lambda node: "again")
+    release = threading.Event()
+    bench.begin(lambda: release.wait(TIMEOUT_S))
+    assert bench.worker.submit("deactivating", lambda node: bench.worker.busy)
+    assert not bench.worker.submit("again", lambda node: "again")
     release.set()
     bench.notice("deactivating")
     wait_for(lambda: not bench.worker.busy)
-    assert bench.worker.submit_next("deactivating", lambda node: "at once")
-    bench.notice("at once")
-    assert [notice.text for notice in bench.notices[1:3]] == ["first", "deactivating"]
+    assert [notice.text for notice in bench.notices[1:]] == ["ended: ", "deactivating"]
 
 
 def test_a_command_that_waits_for_the_start_is_executed_and_ends():
     bench = Bench()
-    assert bench.worker.submit_next("deactivating", lambda node: "the torque is off")
+    assert bench.worker.submit("deactivating", lambda node: "the torque is off")
     bench.worker.start()
     bench.notice("the torque is off")
     wait_for(lambda: not bench.worker.busy)
     bench.close()
 
 
-def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it():
-    bench = Bench()
-    bench.worker.start()
+def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it(bench: Bench):
     bench.submit(lambda node: "up")
     bench.notice("up")
     begun = threading.Semaphore(0)
@@ -194,14 +184,14 @@ def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it():
     assert bench.worker.failure == ""
 
 
-def test_a_robot_that_does_not_start_is_reported(request):
+def test_a_robot_that_does_not_start_is_reported():
     bench = Bench(failure="twin has ended")
     bench.worker.start()
-    request.addfinalizer(bench.close)
     assert not bench.notice("twin has ended").good
     assert bench.worker.hindrance == "twin has ended"
     assert not bench.worker.busy  # the pages show the failure, and the end waits for nothing
     assert not bench.worker.submit("working", lambda node: "")
+    bench.close()
 
 
 def test_a_restarted_node_blocks_no_command(bench: Bench):
@@ -245,48 +235,27 @@ def test_an_unexpected_error_is_reported_and_ends_all_commands_but_stop(bench: B
     assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # nevertheless
 
 
-def test_no_command_is_executed_if_stop_does_not_work(request):
+def test_no_command_is_executed_if_stop_does_not_work():
     bench = Bench()
     bench.stopper.broken = "no service stop"
     bench.worker.start()
-    request.addfinalizer(bench.close)
     message = "STOP does not work, so no command is executed: no service stop"
     assert not bench.notice(message).good
     assert bench.worker.hindrance == message
-
-
-def test_the_end_waits_for_a_run():
-    bench = Bench()
-    bench.worker.start()
-    begun = threading.Event()
-
-    def run(node: object) -> str:
-        begun.set()
-        while not bench.worker.cancellation:
-            threading.Event().wait(0.001)
-        return f"at rest: {bench.worker.cancellation}"
-
-    bench.submit(run)
-    assert begun.wait(TIMEOUT_S)
     bench.close()
-    assert bench.notice("at rest: the console ends").good
+
+
+def test_the_end_waits_for_a_run(bench: Bench):
+    bench.begin(lambda: wait_for(lambda: bench.worker.cancellation))
+    bench.close()
+    assert bench.notice("ended: the console ends").good
     assert bench.ends == 1
 
 
-def test_an_immediate_end_holds_the_robot():
-    bench = Bench()
-    bench.worker.start()
-    begun = threading.Event()
-
-    def run(node: object) -> str:
-        begun.set()
-        assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)
-        return "held"
-
-    bench.submit(run)
-    assert begun.wait(TIMEOUT_S)
+def test_an_immediate_end_holds_the_robot(bench: Bench):
+    bench.begin(lambda: bench.stopper.stops.acquire(timeout=TIMEOUT_S))
     bench.worker.close(hold_now=lambda: True)
-    assert bench.notice("held").good
+    assert bench.notice("holding").good
 
 
 def test_the_end_abandons_a_start():
@@ -305,7 +274,3 @@ def test_the_end_abandons_a_start():
     assert at.wait(TIMEOUT_S)
     bench.close()
     assert bench.worker.failure == ""
-
-
-def test_a_worker_that_was_not_started_ends():
-    Bench().close()

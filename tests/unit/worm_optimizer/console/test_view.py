@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
+from worm_model.twin.data.records import Health, StateRecord
 from worm_optimizer.console import view
 from worm_optimizer.robot_commands import DriverState, Snapshot
 
@@ -22,13 +22,6 @@ def snapshot(state: Activity = Activity.IDLE, **values) -> Snapshot:
     return Snapshot(driver=replace(IDLE, state=state, **values), twin=TWIN, received=RECEIVED)
 
 
-def test_a_topic_is_live_for_a_second():
-    received = Snapshot(received={"power": NOW - 0.9, "tracker": NOW - 1.1})
-    assert view.is_live(received, "power", NOW)
-    assert not view.is_live(received, "tracker", NOW)
-    assert not view.is_live(received, "twin/state", NOW)
-
-
 def test_missing_sources_are_named_with_their_silence():
     receptions = {**RECEIVED, "tracker": NOW - 7.0}
     del receptions["power"]
@@ -37,25 +30,19 @@ def test_missing_sources_are_named_with_their_silence():
     assert view.missing_sources(silent, NOW) == ["power: no message yet", "tracker: silent for 7 s"]
 
 
-def test_no_source_is_missing_unless_the_driver_is_active():
-    inactive = replace(snapshot(Activity.INACTIVE), received={})
-    assert view.missing_sources(inactive, NOW) == []
-    assert view.missing_sources(Snapshot(), NOW) == []
-    assert view.state_text(Snapshot()) == "no driver"
+@pytest.mark.parametrize("given", [snapshot(Activity.INACTIVE), Snapshot()])
+def test_no_source_is_missing_unless_the_driver_is_active(given: Snapshot):
+    assert view.missing_sources(replace(given, received={}), NOW) == []
 
 
 def test_old_values_are_not_shown():
     lengths = dict.fromkeys(LengthSource, 0.3)
     known = replace(snapshot(), lengths=lengths, power=2.5, twin_age=0.4)
-    assert view.sample(known, NOW).power == 2.5
-    assert view.sample(known, NOW).predicted == 2.0
-    assert view.sample(known, NOW).commanded == 0.3
-    assert view.sample(known, NOW).twin_age == 0.4
-    assert all(
-        math.isnan(value)
-        for name, value in vars(view.sample(known, NOW + 2.0)).items()
-        if name not in ("time", "twin_age")
-    )
+    shown = view.sample(known, NOW)
+    expected = {"power": 2.5, "predicted": 2.0, "commanded": 0.3, "twin_age": 0.4}
+    assert {name: shown[name] for name in expected} == expected
+    later = view.sample(known, NOW + 2.0)
+    assert all(math.isnan(v) for name, v in later.items() if name not in ("time", "twin_age"))
 
 
 @pytest.mark.parametrize(
@@ -76,19 +63,18 @@ def test_possible_actions_follow_from_the_state(given: Snapshot, possible: set[s
 
 
 def test_the_age_of_the_twins_data_is_shown():
-    residuals = ResidualRecord(0, *(0.0,) * 7, Health.SUSPECT, "a fin slips")
     received = {**RECEIVED, "twin/residuals": NOW}
-    known = replace(snapshot(), residuals=residuals, twin_age=0.43, received=received)
+    told = {"health": Health.SUSPECT, "health_message": "a fin slips"}
+    known = replace(snapshot(), **told, twin_age=0.43, received=received)
     assert view.twin_text(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
     assert view.twin_text(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
     assert view.twin_text(known, NOW + 2.0) == "twin: no message"
-    no_run = replace(known, residuals=replace(residuals, health=Health.UNKNOWN, message=""))
+    no_run = replace(known, health=Health.UNKNOWN, health_message="")
     assert "nothing to compare with" in view.twin_text(no_run, NOW)
 
 
 def test_a_common_obstacle_is_the_reason_for_each_action():
     assert set(view.obstacles(snapshot(), "no control", "").values()) == {"no control"}
-    assert set(view.obstacles(Snapshot(), "", "").values()) == {"there is no driver"}
 
 
 def test_deactivate_is_possible_while_a_recording_closes_but_not_during_a_run():
@@ -108,21 +94,23 @@ def test_the_measured_margin_as_text():
     assert view.margin_text(None) == ""
 
 
-def test_the_state_of_the_driver_as_text():
-    assert view.state_text(snapshot(Activity.RUNNING, cycle=2, cycles=5)) == "running, cycle 2 of 5"
-    assert view.state_text(snapshot(emergency_stop=True)) == "emergency stop, idle"
-    left_on = "an earlier driver left the torque on"
-    assert view.state_text(snapshot(Activity.INACTIVE)) == "inactive"
-    assert view.state_text(snapshot(Activity.INACTIVE, message=left_on)) == f"inactive: {left_on}"
-    assert view.state_text(snapshot(Activity.FAULT, message="servo 2 is silent")) == (
-        "fault: servo 2 is silent"
-    )
+LEFT_ON = "an earlier driver left the torque on"
 
 
-def test_a_stop_is_shown_before_its_confirmation_and_until_a_person_acts():
-    running = snapshot(Activity.RUNNING, cycle=2, cycles=5)
-    assert view.state_text(running, stopping=True).startswith("STOP is not confirmed yet, running")
-    holding = snapshot(Activity.IDLE, holding=True)
-    assert view.state_text(holding, stopping=True) == "stopped, holding"
-    assert view.state_text(holding) == "stopped, holding"
-    assert view.state_text(snapshot(Activity.IDLE)) == "idle"
+@pytest.mark.parametrize(
+    ("given", "stopping", "text"),
+    [
+        (Snapshot(), False, "no driver"),
+        (snapshot(Activity.IDLE), False, "idle"),
+        (snapshot(emergency_stop=True), False, "emergency stop, idle"),
+        (snapshot(Activity.INACTIVE), False, "inactive"),
+        (snapshot(Activity.INACTIVE, message=LEFT_ON), False, f"inactive: {LEFT_ON}"),
+        (snapshot(Activity.FAULT, message="servo 2"), False, "fault: servo 2"),
+        (snapshot(Activity.RUNNING, cycle=2, cycles=5), False, "running, cycle 2 of 5"),
+        (snapshot(Activity.RUNNING), True, "STOP is not confirmed yet, running"),
+        (snapshot(holding=True), True, "stopped, holding"),
+        (snapshot(holding=True), False, "stopped, holding"),  # until a person acts
+    ],
+)
+def test_the_state_of_the_driver_as_text(given: Snapshot, stopping: bool, text: str):
+    assert view.state_text(given, stopping=stopping) == text

@@ -3,6 +3,7 @@
 
 import dataclasses
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,7 @@ from worm_model.errors import InputError
 from worm_model.parameters import ParameterFile
 from worm_msgs.conditions import Conditions
 from worm_optimizer.operation import identification_runs
-from worm_optimizer.operation.campaign_plan import (
-    make_plan,
-    promise,
-    with_comparisons,
-)
+from worm_optimizer.operation.campaign_plan import make_plan, promise
 from worm_optimizer.operation.campaign_runs import is_recorded, put_aside, run_gaits
 from worm_optimizer.operation.processes import ProcessError
 from worm_optimizer.operation.system import Robot, load_system_file
@@ -49,24 +46,14 @@ def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
 def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground():
     steep = dataclasses.replace(QUICK, conditions=Conditions(slope_deg=20.0, tether_n=2.0))
     plan = make_plan(ParameterFile(), steep, 1)
-    compared = with_comparisons(plan, ParameterFile(), steep, 1, nominal=False)
     names = ["min_power", "cruise", "max_speed"]
-    assert list(compared.gaits) == [each for name in names for each in (name, f"level_{name}")]
-    level = compared.gaits["level_cruise"]
+    assert list(plan.gaits) == [each for name in names for each in (name, f"level_{name}")]
+    level = plan.gaits["level_cruise"]
     designed = make_plan(ParameterFile(), QUICK, 1).gaits["cruise"]
     assert level.gait == designed.gait
     assert level.nominal_speed < designed.nominal_speed  # predicted under the load
-    assert compared.gaits["cruise"].nominal_speed > level.nominal_speed
+    assert plan.gaits["cruise"].nominal_speed > level.nominal_speed
     assert title_of("level_cruise") == "cruising, for level ground"
-
-
-@pytest.mark.parametrize("mode", ["virtual", "robot"])
-def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
-    robot = Robot(FILE, mode, {})
-    names = [node.name for node in robot.system().nodes]
-    assert names == [*(["virtual_robot"] if mode == "virtual" else []), "twin", "driver"]
-    recorder = robot.recording_system(Path("/tmp/a bag")).node("recorder")
-    assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
 
 
 @pytest.fixture(scope="module")
@@ -80,26 +67,20 @@ def test_a_gait_counts_as_recorded_from_its_onset_to_the_end_of_its_last_cycle(b
     (tmp_path / "empty").mkdir()
     assert not is_recorded(tmp_path / "empty")
     run = simulated_run()
-    states, tracker = run.gait_state, run.tracker
-    broken_off = dataclasses.replace(
-        run, gait_state=type(states)(**{k: v[:-1] for k, v in vars(states).items()})
-    )
-    assert not is_recorded(write_bag(tmp_path / "broken_off", broken_off))
-    half = tracker.stamp.size // 2
-    unseen = dataclasses.replace(
-        run, tracker=type(tracker)(**{k: v[:half] for k, v in vars(tracker).items()})
-    )
-    assert not is_recorded(write_bag(tmp_path / "unseen", unseen))
+    for part, kept in (("gait_state", -1), ("tracker", run.tracker.stamp.size // 2)):
+        whole = getattr(run, part)
+        begin = type(whole)(**{name: column[:kept] for name, column in vars(whole).items()})
+        assert not is_recorded(
+            write_bag(tmp_path / part, dataclasses.replace(run, **{part: begin}))
+        )
 
 
 def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
     """No node is started: none is configured."""
     nothing = dataclasses.replace(FILE, nodes={})
     reported: list[str] = []
-    orders = {"cruise": GaitCommand(GAIT, 5)}
-    run_gaits(
-        Robot(nothing, "virtual", {}), orders, bag.parent, tmp_path / "no_logs", reported.append
-    )
+    robot, orders = Robot(nothing, "virtual", {}), {"cruise": GaitCommand(GAIT, 5)}
+    run_gaits(robot, orders, bag.parent, tmp_path / "no_logs", reported.append)
     assert reported == ["cruise: recorded already"]
 
 
@@ -126,18 +107,11 @@ def test_bench_tests_that_are_interrupted_leave_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int
 ):
     code = "import pathlib, sys; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'fin.csv').touch()"
-    monkeypatch.setattr(
-        identification_runs,
-        "executable_command",
-        lambda *_: [sys.executable, "-c", f"{code}; sys.exit({status})"],
-    )
-    folder, logs = tmp_path / "campaign", tmp_path / "logs"
+    command = [sys.executable, "-c", f"{code}; sys.exit({status})"]
+    monkeypatch.setattr(identification_runs, "executable_command", lambda *_: command)
+    folder = tmp_path / "campaign"
     folder.mkdir()
-    logs.mkdir()
-    robot = Robot(FILE, "virtual", {})
-    if status == 0:
-        assert identification_runs.virtual_bench(robot, folder, logs)[1].is_file()
-    else:
-        with pytest.raises(ProcessError):
-            identification_runs.virtual_bench(robot, folder, logs)
+    with pytest.raises(ProcessError) if status else nullcontext():
+        files = identification_runs.virtual_bench(Robot(FILE, "virtual", {}), folder, tmp_path)
+        assert files[1].is_file()
     assert [path.name for path in folder.iterdir()] == ["bench_tests"] * (status == 0)

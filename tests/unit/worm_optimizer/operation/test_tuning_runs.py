@@ -14,16 +14,12 @@ from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.run import Run, TrackerSamples
 from worm_optimizer.commands.tune import Aim, measured_step
-from worm_optimizer.operation.campaign_runs import MOST_RUNS, TUNING, tune_gait, tune_gaits
-from worm_optimizer.operation.system import Robot, load_system_file
+from worm_optimizer.operation.campaign_runs import MOST_RUNS, tune_gait
 from worm_optimizer.robustness.tuning import GaitLimits, TuneState, Tuning
 
 FRAGILE = Gait(0.0713, 0.2)  # loses grooves on most foreign robots
 LARGEST_M = 0.085
 AIM = Aim(0.99, 2, GaitLimits(lambda _: LARGEST_M), "")
-SYSTEM = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
-NO_NODES = Robot(dataclasses.replace(SYSTEM, nodes={}), "virtual", {})
-NOTHING = (Path("no_logs"), print, lambda _running, _text: None)
 
 
 class Operator:
@@ -47,7 +43,7 @@ def step_of(aim: Aim, said: list[str]) -> Callable[[Sequence[Path]], Tuning]:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fragile_gait_becomes_one_that_keeps_its_grooves(seed: int, tmp_path: Path):
-    operator, said = Operator(some_robot(seed), tmp_path / TUNING), []
+    operator, said = Operator(some_robot(seed), tmp_path), []
     tuned = tune_gait(FRAGILE, operator, step_of(AIM, said), said.append)
     assert tuned.step.state is TuneState.DONE
     assert 0.0 <= operator.gaits[-1].stroke - tuned.step.gait.stroke <= 0.0015
@@ -61,17 +57,18 @@ def test_a_fragile_gait_becomes_one_that_keeps_its_grooves(seed: int, tmp_path: 
     )
     assert set(cycles[1:]) == {2}
     assert f"run 1 of at most {MOST_RUNS}: 71.3 mm, 0.2 Hz" in said
-    resumed = tune_gaits(NO_NODES, {"cruise": (FRAGILE, step_of(AIM, []))}, tmp_path, *NOTHING)
-    assert resumed == {"cruise": tuned}  # a campaign that goes on measures its recordings again
 
 
-def test_no_run_exceeds_the_limits_and_an_unattainable_aim_is_impossible(tmp_path: Path):
-    largest = FRAGILE.stroke
-    aim = dataclasses.replace(AIM, limits=GaitLimits(lambda _: largest, FRAGILE.frequency))
-    operator = Operator(some_robot(1, rear_excess=0.001), tmp_path)
+@pytest.mark.parametrize(("excess", "reason"), [(0.001, ""), (0.006, "--objective min_power")])
+def test_no_run_exceeds_the_limits_and_an_unattainable_aim_is_impossible(
+    excess: float, reason: str, tmp_path: Path
+):
+    """With the larger excess, the gait loses all grooves at any stroke within the limits."""
+    aim = dataclasses.replace(AIM, limits=GaitLimits(lambda _: FRAGILE.stroke, FRAGILE.frequency))
+    operator = Operator(some_robot(1, rear_excess=excess), tmp_path)
     tuned = tune_gait(FRAGILE, operator, step_of(aim, []), print)
     assert tuned.step.state is TuneState.IMPOSSIBLE
-    assert tuned.step.reason
+    assert reason in tuned.step.reason
     assert operator.gaits == [FRAGILE]
 
 
@@ -82,17 +79,6 @@ def test_where_the_front_fin_limits_the_stroke_is_only_what_the_rear_one_needs(t
     assert tuned.step.state is TuneState.IMPOSSIBLE
     assert tuned.step.gait.stroke < first.stroke - 0.01
     assert len(operator.gaits) <= MOST_RUNS
-
-
-def test_a_gait_that_loses_all_grooves_at_any_stroke_within_the_limits_names_another_to_start_from(
-    tmp_path: Path,
-):
-    aim = dataclasses.replace(AIM, limits=GaitLimits(lambda _: FRAGILE.stroke, FRAGILE.frequency))
-    step = measured_step(
-        [Operator(some_robot(1, rear_excess=0.006), tmp_path)(FRAGILE, 1)], aim, print
-    )
-    assert step.state is TuneState.IMPOSSIBLE
-    assert "--objective min_power" in step.reason
 
 
 def test_after_the_most_runs_the_next_gait_is_returned_and_not_run(tmp_path: Path):
@@ -110,21 +96,25 @@ def test_after_the_most_runs_the_next_gait_is_returned_and_not_run(tmp_path: Pat
     assert (tuned.step, len(tuned.bags)) == (endless, MOST_RUNS)
 
 
-def test_a_run_without_tracker_ends_the_tuning_with_the_remedy(tmp_path: Path):
-    def hidden(run: Run) -> Run:
-        nothing = np.full(run.tracker.stamp.size, np.nan)
-        return dataclasses.replace(run, tracker=TrackerSamples(run.tracker.stamp, nothing, nothing))
+def hidden(run: Run) -> Run:
+    nothing = np.full(run.tracker.stamp.size, np.nan)
+    return dataclasses.replace(run, tracker=TrackerSamples(run.tracker.stamp, nothing, nothing))
 
-    operator = Operator(some_robot(1), tmp_path, hidden)
-    with pytest.raises(InputError, match="tracker must see both modules"):
-        tune_gait(FRAGILE, operator, step_of(AIM, []), print)
+
+@pytest.mark.parametrize(
+    ("gait", "seen", "remedy"),
+    [
+        (FRAGILE, hidden, "tracker must see both modules"),
+        (Gait(0.04, 0.2), lambda run: run, "longer stroke"),  # without a groove
+    ],
+)
+def test_a_run_without_a_margin_ends_the_tuning_with_the_remedy(
+    gait: Gait, seen: Callable[[Run], Run], remedy: str, tmp_path: Path
+):
+    operator = Operator(some_robot(1), tmp_path, seen)
+    with pytest.raises(InputError, match=remedy):
+        tune_gait(gait, operator, step_of(AIM, []), print)
     assert len(operator.gaits) == 1
-
-
-def test_a_run_without_grooves_ends_the_tuning_and_asks_for_a_longer_stroke(tmp_path: Path):
-    operator = Operator(some_robot(1), tmp_path)
-    with pytest.raises(InputError, match="longer stroke"):
-        tune_gait(Gait(0.04, 0.2), operator, step_of(AIM, []), print)
 
 
 def test_a_slow_gait_whose_front_fin_lacks_margin_gets_less_pretension(tmp_path: Path):
