@@ -135,11 +135,6 @@ class Hardware:
             f"limits of gaits: stroke {limits.max_stroke:g} m, frequency {limits.max_frequency:g} Hz, "
             f"cable speed {limits.max_cable_speed:.4f} m/s"
         )
-        latency = self._bus.port.latency
-        if latency > 1e-3:
-            lines.append(
-                f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
-            )
         if self.robot.actuators.left_on:
             lines.append(self.robot.actuators.left_on)
         lines.append(f"a return to rest takes at most {self.release_time:.1f} s")

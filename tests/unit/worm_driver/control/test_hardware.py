@@ -114,9 +114,6 @@ def test_the_latency_timer_counts_that_the_open_port_has(
 ):
     Adapter(monkeypatch, afterwards)
     hardware = Hardware(replace(given, rate=rate))
-    reported = [line for line in hardware.description() if "latency" in line]
-    assert len(reported) == (afterwards > 1)
-    assert all("is 16 ms, not 1: install the udev rule" in line for line in reported)
     assert hardware.robot.bus.port.quiet_time == pytest.approx(quiet_time)
     hardware.close("over")
 
