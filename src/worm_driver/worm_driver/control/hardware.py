@@ -119,9 +119,8 @@ class Hardware:
     @property
     def release_time(self) -> float:
         """Longest duration of a return to rest and of the release after it, s."""
-        travel = (
-            self.settings.max_stroke + 0.02
-        )  # A run may have begun before this limit was lowered.
+        # The limit at the start, because a run may have begun before it was lowered.
+        travel = self.settings.max_stroke + 0.02
         return _LATENESS * math.pi / 2 * travel / self.robot.return_speed + 1.0
 
     def description(self) -> list[str]:
