@@ -21,6 +21,8 @@ from commander import (
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import LATCHED, TIMEOUT_S, ros_arguments
 from lifecycle_msgs.msg import State, Transition
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -260,6 +262,29 @@ def test_no_goal_that_was_received_before_a_stop_is_played_after_it(driver, comm
     assert {state.run for state in commander.states} == {0, 1}
     # a goal that is sent afterwards is played
     assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
+
+
+def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(
+    driver, commander, probe, tmp_path
+):
+    """All parameters have their present values, including read-only ones and those that only a cleanup would permit.
+
+    The parameter file was read at configure, and may be gone.
+    """
+    file = tmp_path / "parameters.yaml"
+    file.write_text("rear_mass: 0.429\n")
+    assert commander.set_parameter("parameter_file", str(file)).successful
+    commander.activate()
+    file.unlink()
+    names = probe.call(ListParameters, "driver/list_parameters", ListParameters.Request())
+    get = GetParameters.Request(names=names.result.names)
+    values = probe.call(GetParameters, "driver/get_parameters", get).values
+    assert len(values) == len(get.names) > 30
+    own = [ParameterMessage(name=n, value=v) for n, v in zip(get.names, values, strict=True)]
+    request = SetParameters.Request(parameters=own)
+    results = probe.call(SetParameters, "driver/set_parameters", request).results
+    assert [n for n, r in zip(get.names, results, strict=True) if not r.successful] == []
+    file.write_text("rear_mass: 0.429\n")  # for the next configure of the shared driver
 
 
 def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated(

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import math
 import sys
+from array import array
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -39,7 +42,8 @@ class ParameterRejectedError(ValueError):
 def declare(node: Node, rows: Rows) -> None:
     """Declare the parameters of a node.
 
-    A parameter of type float accepts an integer.
+    A parameter of type float accepts an integer, also later. Setting a parameter to its present value succeeds, also if
+    it is read-only.
 
     Args:
         node: the node.
@@ -62,6 +66,37 @@ def declare(node: Node, rows: Rows) -> None:
         except ParameterException as error:
             raise ParameterRejectedError(f"parameter {row.name}: {one_line(error)}") from error
     _reject_unknown(node, overrides)
+    _set_changes_alone(node, floats)
+
+
+def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
+    """Wrap the setter of a node so that a request to set parameters sets only those whose values change.
+
+    rclpy rejects a read-only parameter even if its value stays the same, so `ros2 param load` of a node's own dump
+    would fail. A callback cannot remove a parameter from a request, so this function wraps the method that all setters
+    call.
+    """
+    set_all = node._set_parameters_atomically
+
+    def set_changes(parameters: list[Parameter]) -> SetParametersResult:
+        converted = [_converted(p, floats) for p in parameters]
+        changes = [p for p in converted if not _is_set(node, p)]
+        return set_all(changes) if changes else SetParametersResult(successful=True)
+
+    node._set_parameters_atomically = set_changes
+
+
+def _is_set(node: Node, parameter: Parameter) -> bool:
+    """Return True if the node's parameter of this name already has this type and value. NaN equals NaN."""
+    if not node.has_parameter(parameter.name):
+        return False
+    present = node.get_parameter_or(parameter.name, Parameter(parameter.name))
+    return present.type_ == parameter.type_ and _text(present) == _text(parameter)
+
+
+def _text(parameter: Parameter) -> str:
+    value = parameter.value
+    return repr(value.tolist() if isinstance(value, array) else value)
 
 
 def _reject_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
@@ -125,12 +160,17 @@ def _is_float(default: Any) -> bool:
 
 
 def _converted(parameter: Parameter, floats: frozenset[str]) -> Parameter:
-    """Return a parameter, with a float in place of an integer if its name is in ``floats``."""
+    """Return a parameter, with a float in place of an integer if its name is in ``floats``.
+
+    A node's own dump has ``.nan``, which rcl reads as a text.
+    """
     if parameter.name not in floats:
         return parameter
     value = parameter.value
     if parameter.type_ is Parameter.Type.INTEGER:
         return Parameter(parameter.name, value=float(value))
+    if parameter.type_ is Parameter.Type.STRING and value.lower() == ".nan":
+        return Parameter(parameter.name, value=math.nan)
     if parameter.type_ is Parameter.Type.INTEGER_ARRAY:
         return Parameter(parameter.name, value=[float(each) for each in value])
     return parameter

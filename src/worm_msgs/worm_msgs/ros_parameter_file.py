@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of ROS 2 parameter files, with the sections and the precedence of rcl_yaml_param_parser.
+"""Reader of ROS 2 parameter files, with the values and the precedence of rcl_yaml_param_parser.
 
-Values are those of YAML 1.1. ROS reads some scalars otherwise: ``3e-2``, a number for ROS, is a text here.
+ROS accepts files that PyYAML does not construct, such as several documents and tabs after a colon. It also reads some
+scalars otherwise, such as ``3e-2`` and ``null``.
 """
 
 from __future__ import annotations
@@ -16,6 +17,12 @@ import yaml
 from worm_msgs.yaml_file import SettingsFileError, problem_of
 
 _CONTENT = "ros__parameters"  # key of a node's parameters
+_TRUE = {case(word) for word in ("y", "yes", "true", "on") for case in (str, str.title, str.upper)}
+_FALSE = {
+    case(word) for word in ("n", "no", "false", "off") for case in (str, str.title, str.upper)
+}
+_INTEGER = re.compile(r"[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)")
+_FLOAT = re.compile(r"[-+]?(\.?(inf|nan)|infinity|([0-9]+\.?[0-9]*|\.[0-9]+)(e[-+]?[0-9]+)?)", re.I)
 #: libyaml, which ROS uses, too; PyYAML's own parser rejects tabs that libyaml accepts.
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -32,17 +39,11 @@ def read_sections(path: str | Path) -> list[Section]:
     """
     try:
         with Path(path).open("rb") as stream:
-            loader = _Loader(stream)
-            found: list[Section] = []
-            while loader.check_node():
-                found += _sections(loader, loader.get_node())
-            return found
+            return [each for root in yaml.compose_all(stream, _Loader) for each in _sections(root)]
     except OSError as error:
         raise SettingsFileError(f"{path}: cannot be read ({error.strerror})") from None
     except yaml.YAMLError as error:
         raise SettingsFileError(f"{path}: {problem_of(error)}") from None
-    except ValueError as error:  # a date such as 2026-13-01
-        raise SettingsFileError(f"{path}: has a value that cannot be read: {error}") from None
     except RecursionError:
         raise SettingsFileError(f"{path}: is nested too deeply") from None
 
@@ -61,17 +62,36 @@ def _items(node: yaml.Node | None) -> list[tuple[str, yaml.Node]]:
     return [(str(key.value), value) for key, value in pairs]
 
 
-def _sections(loader: Any, node: yaml.Node, prefix: str = "") -> Iterator[Section]:
+def _sections(node: yaml.Node | None, prefix: str = "") -> Iterator[Section]:
     for key, value in _items(node):
         if key == _CONTENT:
-            yield prefix, dict(_parameters(loader, value))
+            yield prefix, dict(_parameters(value))
         else:
-            yield from _sections(loader, value, f"{prefix}/{key.strip('/')}")
+            yield from _sections(value, f"{prefix}/{key.strip('/')}")
 
 
-def _parameters(loader: Any, node: yaml.Node, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _parameters(node: yaml.Node, prefix: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in _items(node):
         if isinstance(value, yaml.MappingNode):
-            yield from _parameters(loader, value, f"{prefix}{key}.")
+            yield from _parameters(value, f"{prefix}{key}.")
         else:
-            yield f"{prefix}{key}", loader.construct_object(value, deep=True)
+            yield f"{prefix}{key}", _value(value)
+
+
+def _value(node: yaml.Node) -> Any:
+    """Return the value of a node as ROS reads it, without regard to tags."""
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(each) for each in node.value]
+    text = str(node.value)
+    if isinstance(node, yaml.ScalarNode) and node.style:  # quoted
+        return text
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    if _INTEGER.fullmatch(text):
+        value = int(re.sub("^([-+]?)0(?=[0-7])", r"\g<1>0o", text), 0)
+        return value if abs(value) < 2**63 else float(value)
+    return (
+        float(text.lower().replace(".i", "i").replace(".n", "n"))
+        if _FLOAT.fullmatch(text)
+        else text
+    )

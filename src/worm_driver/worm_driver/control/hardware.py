@@ -119,9 +119,8 @@ class Hardware:
     @property
     def release_time(self) -> float:
         """Longest duration of a return to rest and of the release after it, s."""
-        travel = (
-            self.settings.max_stroke + 0.02
-        )  # A run may have begun before this limit was lowered.
+        # The limit at the start, because a run may have begun before it was lowered.
+        travel = self.settings.max_stroke + 0.02
         return _LATENESS * math.pi / 2 * travel / self.robot.return_speed + 1.0
 
     def description(self) -> list[str]:
@@ -135,11 +134,6 @@ class Hardware:
             f"limits of gaits: stroke {limits.max_stroke:g} m, frequency {limits.max_frequency:g} Hz, "
             f"cable speed {limits.max_cable_speed:.4f} m/s"
         )
-        latency = self._bus.port.latency
-        if latency > 1e-3:
-            lines.append(
-                f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
-            )
         if self.robot.actuators.left_on:
             lines.append(self.robot.actuators.left_on)
         lines.append(f"a return to rest takes at most {self.release_time:.1f} s")

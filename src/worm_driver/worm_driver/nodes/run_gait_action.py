@@ -8,7 +8,7 @@ run_gait/rejections, because the response has no field for a reason.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
@@ -327,17 +327,13 @@ def _result(run: PlayedRun, measured: RunMetrics, pitch: float) -> RunGait.Resul
         Ending.FAILED: f"fault: {run.reason}",
         None: "unfinished",
     }
+    metrics = asdict(measured)
+    reasons = metrics.pop("reasons")
     return RunGait.Result(
         success=run.ending is Ending.COMPLETED,
-        message="; ".join((endings[run.ending], *measured.reasons)),
-        cycles_completed=measured.cycles_completed,
-        cycles_averaged=measured.cycles_averaged,
+        message="; ".join((endings[run.ending], *reasons)),
         grooves=measured.distance / pitch,
-        distance=measured.distance,
-        speed=measured.speed,
-        power=measured.power,
-        cost_of_transport=measured.cost_of_transport,
-        idle_power=measured.idle_power,
+        **metrics,
     )
 
 

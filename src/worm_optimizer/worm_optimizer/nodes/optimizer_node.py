@@ -141,11 +141,12 @@ class OptimizerNode(Node):
 
     def _apply_parameters(self, parameters: Sequence[Parameter]) -> None:
         changes = {parameter.name: parameter.value for parameter in parameters}
+        settings = self._under(changes)
         if PARAMETER_FILE in changes:
             self._content = load_parameter_file(changes[PARAMETER_FILE])
-        elif not changes.keys() & CONDITION_ROWS.keys():
+        elif settings.conditions == self._settings.conditions:
             return
-        self._settings = self._under(changes)
+        self._settings = settings
         self._forget()
         self._first.reset()
 

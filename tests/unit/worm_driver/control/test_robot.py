@@ -324,18 +324,6 @@ def test_a_driver_that_was_suspended_finds_the_watchdog_expired_and_does_not_go_
     assert rig.time_to_stop(0.5) < STOP
 
 
-def test_a_new_activation_ends_a_fault():
-    rig = moving()
-    rig.inject("no_answer", duration=0.2)
-    rig.run(1.0)
-    assert rig.robot.player.phase is Phase.FAULT
-    rig.robot.release()
-    rig.run(0.2)
-    rig.robot.activate(rig.clock.now)
-    rig.start(0.05, 0.4, cycles=1)
-    rig.run(12.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
-
-
 # --- turn count -----------------------------------------------------------------------------------
 
 

@@ -60,13 +60,6 @@ def test_a_body_that_creeps_is_not_mistaken_for_one_at_rest():
     assert LENGTH - creeping(first - SPAN / 2) < 1e-3
 
 
-@pytest.mark.parametrize("module", ["rear", "front"])
-def test_a_hidden_module_is_not_at_rest(module: str):
-    hidden = {"rear": (lambda _: math.nan), "front": (lambda _: 0.1)}[module]
-    found = seen(lambda _: math.nan if module == "front" else LENGTH, 3.0, rear=hidden)
-    assert not any(lasts for _, lasts in found)
-
-
 def test_a_robot_that_slides_whole_does_not_stand():
     assert not any(lasts for _, lasts in seen(lambda _: LENGTH, 3.0, rear=lambda time: 2e-3 * time))
 

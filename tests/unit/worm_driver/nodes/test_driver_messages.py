@@ -76,24 +76,6 @@ def test_each_status_of_a_sample_has_its_number(status):
     assert math.isnan(message.power) == (status is not SampleStatus.VALID)
 
 
-@pytest.mark.parametrize(
-    ("phase", "state"),
-    [
-        (Phase.IDLE, GaitState.IDLE),
-        (Phase.RETURNING, GaitState.RESTING),
-        (Phase.FLIPPING, GaitState.RESTING),
-        (Phase.RESTING, GaitState.RESTING),
-        (Phase.RUNNING, GaitState.RUNNING),
-        (Phase.STOPPING, GaitState.STOPPING),
-        (Phase.HOLDING, GaitState.IDLE),
-        (Phase.FAULT, GaitState.FAULT),
-    ],
-)
-def test_each_phase_has_its_state(phase, state):
-    seen = snapshot(PlayerState(phase=phase))
-    assert ros_messages.gait_state(seen, CLOCKS, emergency_stop=False).state == state
-
-
 def test_the_state_contains_gait_cycle_and_onset():
     player = PlayerState(phase=Phase.RUNNING, run=RUN)
     message = ros_messages.gait_state(snapshot(player), CLOCKS, emergency_stop=False)

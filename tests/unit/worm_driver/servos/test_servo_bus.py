@@ -22,10 +22,9 @@ from worm_driver.driver_errors import (
     StatusError,
 )
 from worm_driver.servos.registers import COMMON, Register
-from worm_driver.servos.servo_bus import Identity, ServoBus, stuff, unstuff
+from worm_driver.servos.servo_bus import Identity, ServoBus
 from worm_driver.servos.state_reader import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.wire.packet import InstructionReader, status_packet
-from worm_driver.virtual_robot.wire.packet import stuff as independent_stuff
 
 GOAL = COMMON["goal_position"]
 POSITION = COMMON["present_position"]
@@ -76,15 +75,6 @@ def test_torque_off_needs_no_answer(line):
 
 
 # --- stuffing that the SDK drops ----------------------------------------------------------------
-
-#: bodies with many headers
-BODIES = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55]), max_size=60).map(bytes)
-
-
-@given(BODIES)
-def test_stuffing_is_that_of_the_virtual_servos_and_has_an_inverse(body):
-    assert stuff(body) == independent_stuff(body)
-    assert unstuff(stuff(body)) == body
 
 
 def test_a_sync_write_with_a_header_in_it_arrives(line):
