@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The virtual robot as a process: its ports, its topics, its faults, its end."""
 
-import math
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -46,24 +45,6 @@ def test_what_it_publishes_stands_in_the_past_and_in_order(robot, probe):
     assert {m.source for m in lengths} == {BodyLength.MEASURED}
     assert all(m.length == pytest.approx(0.2953, abs=0.002) for m in lengths)
     assert all(m.length_change == pytest.approx(0.0, abs=0.002) for m in lengths)
-
-
-def test_on_a_slope_it_hangs_in_its_fins_and_a_tether_pulls_it_further(processes, probe, directory):
-    robot = processes.start_node(
-        *("worm_driver", "virtual_robot", "--directory", str(directory)),
-        *("--slope", "20", "--tether", "2", "--tether-per-metre", "0.5"),
-    )
-    robot.wait_for_line("^ready: ", TIMEOUT_S)
-    positions = probe.collect(Tracker, "tracker")
-
-    def rear() -> list[float]:
-        return [m.rear_position for m in positions if math.isfinite(m.rear_position)]
-
-    probe.wait_for(lambda: len(rear()) >= 10, "samples of the camera")
-    assert rear() == pytest.approx([-0.0057] * len(rear()), abs=0.001)
-    request = InjectFault.Request(name="tether", value=20.0, duration=3600.0)
-    assert probe.call(InjectFault, "inject_fault", request).success
-    probe.wait_for(lambda: rear()[-1] < -0.009, "pull of the tether")
 
 
 def test_faults_on_request(robot, probe, directory):

@@ -9,7 +9,6 @@ from pathlib import Path
 from random import Random
 
 from worm_driver.commands.driver_command import run_command
-from worm_driver.virtual_robot.virtual_robot import body_of
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_msgs.command_parser import Parser
 from worm_msgs.robot_parameters import RobotParameters
@@ -49,7 +48,7 @@ def _run(options: argparse.Namespace) -> None:
     settings = load_settings(options.parameters)
     if options.seed is not None:
         settings = replace(settings, seed=options.seed)
-    body = body_of(settings)
+    body = settings.true_body
     options.folder.mkdir(parents=True, exist_ok=True)
     random = Random(f"{settings.seed} bench")
     _write(options.folder / "bellows.csv", "compression_m", bellows_test(body, random))

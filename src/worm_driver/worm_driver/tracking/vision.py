@@ -80,7 +80,8 @@ class MarkerDetector:
         """Return a marker with refined corners, or with OpenCV's corners if it has no clear edges."""
         corners, width = first, np.inf
         for _ in range(_REFINEMENTS):
-            corners, width = _refine(image, corners, self._cells)
+            if np.isfinite(corners).all():
+                corners, width = _refine(image, corners, self._cells)
         cell = np.hypot(*(first[1] - first[0])) / self._cells
         # Refined corners far from OpenCV's corners belong to other edges.
         if np.abs(corners - first).max() < cell:

@@ -23,13 +23,11 @@ from worm_driver.virtual_robot.virtual_settings import (
     FinServoSettings,
     RobotSettings,
     TrackerSettings,
-    perturbed,
 )
 from worm_driver.virtual_robot.wire.faults import FaultBoard
 from worm_driver.virtual_robot.wire.ina219_chip import Ina219
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.gait import FORWARD, REVERSE
-from worm_msgs.robot_parameters import RobotParameters
 
 
 @dataclass(frozen=True)
@@ -286,14 +284,7 @@ class VirtualRobot:
             self.chip.power_on()
 
 
-def body_of(settings: RobotSettings) -> RobotParameters:
-    """Return the true parameters of the robot with these settings."""
-    if settings.parameter_spread > 0:
-        return perturbed(settings.body, settings.parameter_spread, Random(f"{settings.seed} body"))
-    return settings.body
-
-
 def _make_plant(settings: RobotSettings) -> Plant:
-    seed, body = settings.seed, body_of(settings)
+    seed, body = settings.seed, settings.true_body
     rear, front = (make_grooves(body, settings.effects, 2 * seed + i) for i in range(2))
     return Plant(body, settings.effects, rear, front, settings.step, settings.conditions)

@@ -19,7 +19,7 @@ from worm_msgs.yaml_file import SettingsFileError, read_yaml
 
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml")))
 
-# Parameters that are measured with a ruler or a scale; `perturbed` does not change them.
+# Parameters that are measured with a ruler or a scale; `true_body` does not change them.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
 
 ServoNumber = Annotated[int, key(ge=0, le=HIGHEST_ID)]
@@ -107,7 +107,7 @@ class RobotSettings:
         step: step of the integration, s.
         fin_tolerance: largest deviation from the forward or reverse angle at which a fin servo counts as set to this
             direction, rad.
-        parameter_spread: spread of the random factors on the parameters of the body, see `perturbed`.
+        parameter_spread: spread of the random factors on the parameters of the body, see `true_body`.
         recording: number of a recording of the same robot in the same pipe, with other noise.
     """
 
@@ -126,25 +126,25 @@ class RobotSettings:
     parameter_spread: Annotated[float, key(ge=0.0)] = 0.0
     recording: int = 0
 
+    @property
+    def true_body(self) -> RobotParameters:
+        """True parameters: ``body`` with a random log-normal factor on each parameter of the paper's model.
 
-def perturbed(body: RobotParameters, spread: float, random: Random) -> RobotParameters:
-    """Return the parameters with a random log-normal factor on each parameter of the paper's model.
-
-    Masses, body lengths (L_free, L0) and the pitch, which can be measured, do not change. Neither do dry friction and
-    loads, which the paper does not contain.
-
-    Args:
-        body: the parameters.
-        spread: standard deviation of the logarithm of the factors.
-        random: source of the factors.
-    """
-    moved = {
-        field.name: getattr(body, field.name) * math.exp(random.gauss(0.0, spread))
-        for field in fields(body)
-        if field.default  # Parameters with the default 0 are effects that the paper does not contain.
-        and field.name not in _MEASURED
-    }
-    return replace(body, **moved)
+        Masses, body lengths (L_free, L0) and the pitch, which can be measured, do not change. Neither do dry friction
+        and loads, which the paper does not contain. ``parameter_spread`` is the standard deviation of the logarithm of
+        the factors.
+        """
+        if not self.parameter_spread:
+            return self.body
+        random = Random(f"{self.seed} body")
+        changed = {
+            field.name: getattr(self.body, field.name)
+            * math.exp(random.gauss(0.0, self.parameter_spread))
+            for field in fields(self.body)
+            if field.default  # Parameters with the default 0 are effects that the paper does not contain.
+            and field.name not in _MEASURED
+        }
+        return replace(self.body, **changed)
 
 
 def load_settings(path: Path | None = None) -> RobotSettings:

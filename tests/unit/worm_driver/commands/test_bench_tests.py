@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from worm_driver.commands import bench_tests
-from worm_driver.virtual_robot.virtual_robot import body_of
 from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
 from worm_model.identification import bellows, fin
 from worm_model.identification.inputs import read_bench_test
@@ -15,7 +14,7 @@ from worm_model.identification.inputs import read_bench_test
 
 def test_the_files_hold_what_is_true_of_the_robot(tmp_path: Path):
     assert bench_tests.main([str(tmp_path), "--seed", "3"]) == 0
-    truth = body_of(replace(load_settings(), seed=3))
+    truth = replace(load_settings(), seed=3).true_body
     stiffness = bellows.fit_bellows(*columns(tmp_path / "bellows.csv", bellows.COLUMNS)).stiffness
     assert stiffness.value == pytest.approx(truth.bellows_stiffness, rel=0.02)
     fitted = fin.fit_fin(*columns(tmp_path / "fin.csv", fin.COLUMNS))

@@ -95,19 +95,15 @@ def test_invalid_values_are_rejected(name, value, number):
         (117, b"\x00\x00\x00\x00", Error.ACCESS),  # not the start of a register
         (92, b"\x00", Error.ACCESS),  # no register there
         (168, b"\x00", Error.ACCESS),  # beyond the table
+        # profile and goal; the goal is one pulse beyond 256 turns
+        (108, b"\x0a\x00\x00\x00\x14\x00\x00\x00\x00\x00\x10\x00", Error.DATA_RANGE),
     ],
 )
-def test_writes_that_hit_no_register(address, data, number):
-    with pytest.raises(RegisterError) as caught:
-        Bench().servo.write(address, data)
-    assert caught.value.number == number
-
-
-def test_a_block_is_written_whole_or_not_at_all():
+def test_a_write_that_is_rejected_changes_nothing(address, data, number):
     bench = extended()
-    acceleration_to_goal = b"\x0a\x00\x00\x00" + b"\x14\x00\x00\x00" + b"\x00\x00\x10\x00"
-    with pytest.raises(RegisterError):  # the goal is one pulse beyond 256 turns
-        bench.servo.write(108, acceleration_to_goal)
+    with pytest.raises(RegisterError) as caught:
+        bench.servo.write(address, data)
+    assert caught.value.number == number
     assert bench.read("profile_acceleration") == 0
 
 

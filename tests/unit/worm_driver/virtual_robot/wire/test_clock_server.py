@@ -23,13 +23,6 @@ def test_alone_it_goes_with_the_machine():
     assert time.alone(101.0) == pytest.approx(1.5)  # never backwards
 
 
-def test_no_event_is_skipped_and_no_busy_client_is_left_behind():
-    time = keeper()
-    assert time.together(100.02, [True, True], until=0.01) == pytest.approx(0.01)
-    assert time.together(100.03, [True, False], until=0.02) == pytest.approx(0.01)
-    assert time.together(100.03, [True, True], until=0.02) == pytest.approx(0.02)
-
-
 def test_it_catches_up_with_a_small_delay_and_drops_the_rest():
     time = keeper()
     time.together(100.0, [True], until=0.01)
