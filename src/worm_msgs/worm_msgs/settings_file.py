@@ -14,7 +14,7 @@ import difflib
 import json
 import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -70,6 +70,22 @@ def _reject_boolean(value: Any) -> Any:
     if isinstance(value, bool):  # Python compares True and False equal to 1 and 0.
         raise ValueError(f"must not be {value}")
     return value
+
+
+class Converted:
+    """Annotation of a field whose value is validated as the type ``kind`` and then converted by ``function``."""
+
+    def __init__(self, kind: Any, function: Callable[[Any], Any]) -> None:
+        self._kind, self._function = kind, function
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Return the schema, as pydantic requires."""
+        from pydantic_core import core_schema
+
+        schema = handler.generate_schema(self._kind)
+        return core_schema.no_info_after_validator_function(self._function, schema)
 
 
 def read_settings(path: Path, kind: type[T], error: type[Exception] = SettingsFileError) -> T:
