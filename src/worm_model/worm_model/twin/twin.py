@@ -24,6 +24,7 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
+from worm_model.twin import diagnosis
 from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP, NEAR_EDGE
 from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
@@ -39,15 +40,7 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.data.records import Event, Severity
 from worm_model.twin.data.samples import DriverState, SampleRows, driver_state_of
-from worm_model.twin.diagnosis import (
-    CycleSeen,
-    Finding,
-    History,
-    edges_of,
-    explains,
-    judge_cycle,
-    off_at_end,
-)
+from worm_model.twin.diagnosis import CycleSeen, Finding, History
 from worm_model.twin.edges import Edge, edge_of
 from worm_model.twin.run_margins import NO_MARGINS, RunPositions
 from worm_model.twin.run_start import begin_run, end_of_cycle, is_new_run
@@ -376,7 +369,7 @@ class _Call:
         )
         not_judged = self._unusable
         if not not_judged:
-            for edge in edges_of(cycle):
+            for edge in diagnosis.edges_of(cycle):
                 self._report_edge(stamp, edge)
             findings, not_judged = self._judge(cycle)
             for finding in findings:
@@ -393,7 +386,7 @@ class _Call:
         """Return the findings of a cycle that has ended, and the reason why the cycle is not judged, empty if it is."""
         state, m = self.state, self.state.record
         unplaced = state.history.unplaced
-        history, findings = judge_cycle(state.history, cycle)
+        history, findings = diagnosis.judge_cycle(state.history, cycle)
         if not (m["start_known"] or cycle.joined or unplaced or cycle.blind_s):
             return self._judge_first(cycle, history, findings)
         state.history = history
@@ -419,8 +412,13 @@ class _Call:
         """
         state, m = self.state, self.state.record
         m["start_known"] = True
-        off, reason = off_at_end(cycle), "the state of the fins at its beginning is unknown"
-        if explains(history, cycle) and not any(finding.code.code for finding in findings):
+        off, reason = (
+            diagnosis.off_at_end(cycle),
+            "the state of the fins at its beginning is unknown",
+        )
+        if diagnosis.explains(history, cycle) and not any(
+            finding.code.code for finding in findings
+        ):
             state.history = history
             # Without a tracker nothing confirms this state, so the cycle is not judged.
             return findings, reason if np.isnan(off) else ""
