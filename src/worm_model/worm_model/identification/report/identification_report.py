@@ -16,8 +16,8 @@ from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import KEYS as ENERGY
 from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.inputs import Inputs
+from worm_model.identification.run_prediction import Errors
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, PAPER, SYMBOLS, UNITS, ParameterFile
 from worm_model.travel_error import PRIOR
