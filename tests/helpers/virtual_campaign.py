@@ -153,12 +153,11 @@ def make_run(
 
 @dataclass(frozen=True)
 class Instruments:
-    """Noise of camera (m) and power sensor (W), and the delays (s) of their clocks relative to the servo's."""
+    """Noise of camera (m) and power sensor (W), delay of the camera's clock (s), rate of the power (Hz), rest (s)."""
 
     camera_noise: float = 0.0002
     power_noise: float = 0.02
     camera_behind: float = 0.0
-    power_behind: float = 0.0
     power_rate: float = 50.0
     rest: float = 2.0
 
@@ -182,7 +181,7 @@ def exact_run(
     command = np.arange(0.0, rest + duration, 0.02)
     u_cmd = np.array([gait.command(max(time - rest, 0.0)) for time in command])
     power = np.arange(0.0, rest + duration, 1.0 / instruments.power_rate)
-    at = power + instruments.power_behind - rest
+    at = power - rest
     watts = np.where(
         at > 0.0, trajectory.at(np.maximum(at, 0.0)).power, parameters.idle_power
     ) + random.normal(0.0, instruments.power_noise, power.size)

@@ -127,7 +127,7 @@ BAD_WITH_ROS = [
     (OPERATE, "run --cycles -3", "cycles: -3"),
     (OPERATE, "tune --stroke 0.05", "give --stroke and --frequency"),
     (OPERATE, "tune --probability 1", "--probability 1"),
-    (OPERATE, "tune --grooves 0", "--grooves 0"),
+    (OPERATE, "tune --grooves 0", "--grooves: 0"),
     (OPERATE, "dance", "invalid choice"),
     (OPTIMIZER_NODE, "-p parameter_file:=/nowhere.yaml", "/nowhere.yaml: cannot be read"),
     (

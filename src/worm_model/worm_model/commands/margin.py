@@ -40,15 +40,16 @@ def add_grooves(parser: Parser, default: str) -> None:
     """Add the grooves per cycle that a margin refers to."""
     parser.add_argument(
         "--grooves",
-        type=_grooves,
+        type=count,
         metavar="N",
         help=f"grooves per cycle to keep, 1 or more (default: {default})",
     )
 
 
-def _grooves(text: str) -> int:
+def count(text: str) -> int:
+    """Convert a command-line argument to a positive whole number; a ``type`` for argparse."""
     if int(text) < 1:
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"{text}: give 1 or more")
     return int(text)
 
 

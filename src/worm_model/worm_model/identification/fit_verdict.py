@@ -22,8 +22,8 @@ from worm_model.identification.fits.actuation_fit import (
 )
 from worm_model.identification.fits.block_least_squares import solve
 from worm_model.identification.fits.estimate import noise_of
-from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.locomotion_stage import LocomotionResult
+from worm_model.identification.run_prediction import Errors
 from worm_model.identification.run_selection import FittedRun
 
 # Largest values of a model that fits: factor on the variances; held-out error of x1, in units of the camera's noise;

@@ -15,9 +15,9 @@ from worm_model.identification.fits.block_least_squares import of_runs, remember
 from worm_model.identification.fits.energy import fit_energy
 from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.fits.run_prediction import Errors, run_errors
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion_stage import ONSET, LocomotionResult
+from worm_model.identification.run_prediction import Errors, run_errors
 from worm_model.identification.run_selection import FittedRun
 from worm_model.margin.half_cycles import Fin
 from worm_model.margin.measured_margin import RunMargin, measure_cycles

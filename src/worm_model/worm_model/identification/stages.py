@@ -23,7 +23,6 @@ from worm_model.identification.fits.energy import power_run
 from worm_model.identification.fits.estimate import Estimate, admissible, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import Known
 from worm_model.identification.fits.resampling import SEED
-from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.held_out import compared_margin, leave_one_out
 from worm_model.identification.idle import NO_IDLE, idle_power
 from worm_model.identification.inputs import BenchTest, Inputs
@@ -33,6 +32,7 @@ from worm_model.identification.locomotion_stage import (
     identify_locomotion,
 )
 from worm_model.identification.reference_values import ReferenceValues
+from worm_model.identification.run_prediction import Errors
 from worm_model.identification.run_selection import FittedRun, fitted_runs, initial_length
 from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 from worm_model.travel_error import travel_error

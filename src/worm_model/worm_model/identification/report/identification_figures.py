@@ -32,7 +32,7 @@ from worm_model.analysis.run_plots import (
 from worm_model.arrays import accumulated
 from worm_model.identification.bellows import BellowsFit
 from worm_model.identification.fin import FinFit
-from worm_model.identification.fits.run_prediction import RunPrediction, measured_power, predict
+from worm_model.identification.run_prediction import RunPrediction, measured_power, predict
 from worm_model.identification.run_selection import FittedRun
 from worm_model.identification.stages import Identification
 from worm_model.simulation.actuation import effective_command

@@ -16,8 +16,8 @@ from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import KEYS as ENERGY
 from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.inputs import Inputs
+from worm_model.identification.run_prediction import Errors
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, PAPER, SYMBOLS, UNITS, ParameterFile
 from worm_model.travel_error import PRIOR
@@ -194,7 +194,8 @@ def nuisance_text(result: Identification) -> str:
         f"of the threshold and {scatter.stiffness * 100:.1f} % of the stiffness. When the slack is taken up, the rear "
         f"module has {1.0 - locomotion.onset:.2f} of its share of the initial rate (1: the centre of mass is at rest; "
         "0: the rear module is at rest, the paper's initial condition). "
-        f"Large or correlated residuals of x1 increase the variances by a factor of {locomotion.inflation:.2f}.\n\n"
+        f"Large or correlated residuals of x1 increase the variances by a factor of {locomotion.inflation:.2f}. "
+        "The energy of slow gaits hardly determines the clock offset of the power.\n\n"
     )
     lines = [
         "| run | L0 (mm) | P_idle (W) | camera behind servo (ms) | power behind camera (ms) | five ridges |",
