@@ -420,12 +420,12 @@ def test_the_newest_recording_of_a_gait_is_found(tmp_path: Path):
     run = simulated_run(1)
     rested = GaitStates(**{name: values[:1] for name, values in vars(run.gait_state).items()})
     bags = ("old", "campaign/cruise", "single", "failed", "broken")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "metadata.yaml").touch()
     for closed, name in enumerate(bags):
-        (tmp_path / name).mkdir(parents=True)
         if name != "broken":
             own = dataclasses.replace(run, gait_state=rested) if name == "failed" else run
             write_bag(tmp_path / name, own)
-        (tmp_path / name / "metadata.yaml").touch()
         os.utime(tmp_path / name / "metadata.yaml", (0, closed))
     reported: list[str] = []
     assert newest_recording(tmp_path, reported.append) == tmp_path / "single"
