@@ -17,7 +17,7 @@ from ament_index_python.packages import get_package_share_directory
 from commander import Commander
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import LATCHED
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import State, Transition, TransitionEvent
 from lifecycle_msgs.srv import GetState
 
 from worm_model.bags.opening import open_bag
@@ -51,6 +51,23 @@ def robot(name):
 
 def generate_launch_description():
     return LaunchDescription([robot("left"), robot("right")])
+"""
+GROUP = """
+from launch import LaunchDescription
+from launch.actions import GroupAction, IncludeLaunchDescription, SetEnvironmentVariable
+from launch.substitutions import PathJoinSubstitution
+from launch_ros.actions import SetParameter, SetRemap
+from launch_ros.substitutions import FindPackageShare
+
+def generate_launch_description():
+    path = PathJoinSubstitution([FindPackageShare("worm_optimizer"), "launch", "worm.launch.py"])
+    given = {{"mode": "virtual", "directory": "{folder}/robot", "bag": "{folder}/bag"}}
+    return LaunchDescription([GroupAction([
+        SetRemap("power", "supply"),
+        SetParameter("use_sim_time", False),
+        SetEnvironmentVariable("WORM_TEST", "set"),
+        IncludeLaunchDescription(path, launch_arguments=given.items()),
+    ])])
 """
 
 
@@ -209,6 +226,36 @@ def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, p
     assert "driver has ended with exit status -9" in launch.output()
     assert "torque may be on" not in launch.output()  # of a virtual robot
     assert not any(map(runs, pids(launch.output()).values()))
+
+
+@pytest.mark.night
+def test_a_second_graph_ends_before_it_publishes_or_commands_anything(launched, probe, tmp_path):
+    first = launched(*virtual(tmp_path))
+    wait_for_active(probe)
+    seen = probe.collect(TransitionEvent, "/worm/driver/transition_event")
+    second = launched(*virtual(tmp_path / "second"), name="second")
+    assert second.wait(START_S) == 1
+    robot = pids(first.output())["virtual_robot"]
+    assert f"/worm has a virtual robot or player already, process {robot} " in second.output()
+    assert not any(map(runs, pids(second.output()).values()))
+    assert (seen, state_of(probe)) == ([], State.PRIMARY_STATE_ACTIVE)
+
+
+@pytest.mark.night
+def test_settings_of_an_including_group_reach_all_nodes(launched, probe, tmp_path):
+    file = tmp_path / "group.launch.py"
+    file.write_text(GROUP.format(folder=tmp_path))
+    launch = launched(file=(str(file),))
+    wait_for_active(probe)
+    nodes = pids(launch.output())
+    assert nodes.keys() >= {"virtual_robot", "recorder", "twin", "optimizer", "driver"}
+    for name, pid in nodes.items():
+        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        assert {"power:=supply", "use_sim_time:=False"} <= set(words), name
+        assert "WORM_TEST=set" in Path(f"/proc/{pid}/environ").read_text().split("\0"), name
+    probe.wait_for(lambda: probe.node.count_subscribers("/worm/supply") > 0, "twin", START_S)
+    assert probe.node.count_publishers("/worm/supply") == 1
+    assert probe.node.count_publishers("/worm/power") == 0
 
 
 @pytest.mark.parametrize(

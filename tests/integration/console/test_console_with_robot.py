@@ -136,9 +136,11 @@ def test_on_a_phone_a_gait_in_numbers_is_predicted_run_and_stopped_with_the_keyb
     expect(predicted(page).nth(2)).not_to_have_text(str(speed))
     run = page.get_by_role("button", name="Run", exact=True)
     stroke = page.get_by_label("stroke, mm")
-    stroke.fill("0")
-    expect(page.get_by_text(re.compile("Run is not possible: stroke.*above 0"))).to_be_visible()
+    stroke.fill("500")
+    expect(page.get_by_text(re.compile("Run is not possible: stroke.*500.*90"))).to_be_visible()
     expect(run).to_be_disabled()
+    stroke.fill("0")
+    expect(page.get_by_text(re.compile("Run is not possible: stroke, mm: enter"))).to_be_visible()
     expect(predicted(page).nth(2)).to_have_text("–")  # that of the former stroke has gone
     stroke.fill("70")
     expect(page.get_by_text("probability, if the model is right")).to_be_visible()

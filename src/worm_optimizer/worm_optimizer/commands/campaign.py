@@ -31,6 +31,7 @@ from worm_model.text_table import labelled
 from worm_optimizer.commands.report import add_identification
 from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
 from worm_optimizer.commands.start import add_robot, robot_of
+from worm_optimizer.commands.tune import PROBABILITY
 from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.processes import termination_as_interrupt
@@ -38,8 +39,12 @@ from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
 
 if TYPE_CHECKING:
-    from worm_optimizer.operation.campaign_runs import Prepare
+    from worm_model.gait import Gait
+    from worm_model.parameters import ParameterFile
+    from worm_optimizer.gait_prediction import Prediction
+    from worm_optimizer.operation.campaign_runs import Measure, Prepare
     from worm_optimizer.report.recorded_gait import RecordedGait
+    from worm_optimizer.search.search_settings import Settings
 
 _MODES = ("virtual", "robot")
 SAME_PLACE = "Put the robot where the first run began: same grooves, fins straight"
@@ -92,6 +97,13 @@ def _parser() -> Parser:
         "identified parameters and a report. Then validate these parameters with their robust and nominal gaits. "
         "On a real robot, the "
         "command prompts before each run. --bellows and --fin are the files of the bench tests",
+    )
+    add(
+        "--tune",
+        action="store_true",
+        help="first run each of the three gaits, measure its margin, and repeat with the next gait, at most five runs, "
+        f"until a cycle keeps its grooves with --probability (here by default {PROBABILITY}). Then validate the tuned "
+        "gaits",
     )
     add("--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N")
     add("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
@@ -168,11 +180,11 @@ class _Campaign:
     ) -> None:
         self._options, self._robot, self._folder = options, robot, folder
         self._logs, self._say = logs, say
-        self._summary: dict[str, Any] = {}  # of the identification, for the output
+        self._summary: dict[str, Any] = {}  # of identification and tuning, for the output
         self._prompts = options.identify and options.mode == "robot"
 
     def run(self) -> dict[str, str]:
-        """Identify the robot if requested, then run all gaits.
+        """Identify the robot and tune its gaits as requested, then run all gaits.
 
         Return the name of the gait of each run, by the name of the run.
         """
@@ -187,6 +199,8 @@ class _Campaign:
         nominal = options.with_nominal or options.identify
         self._plan = make_plan(content, settings, options.direction, nominal=nominal)
         ask = _prompt("Put the robot where it has room") if self._prompts else at_once
+        if options.tune:
+            self._tune(content, settings, ask)
         promise(self._plan, self._folder)
         names = run_names(tuple(self._plan.gaits), options.repeats)
         orders = {
@@ -194,6 +208,29 @@ class _Campaign:
         }
         run_gaits(self._robot, orders, self._folder, self._logs, self._say, ask)
         return names
+
+    def _tune(self, content: ParameterFile, settings: Settings, ask: Prepare) -> None:
+        """Tune the three gaits of the plan on the robot, and predict the tuned gaits."""
+        from worm_optimizer.commands.tune import Aim, measured_step, tuned_json
+        from worm_optimizer.operation.campaign_runs import gait_recorder, tune_gaits
+        from worm_optimizer.robustness.tuning import limits_of
+        from worm_optimizer.search.front import predicted_gaits, task_of
+
+        options, plan, say = self._options, self._plan, self._say
+        limits = limits_of(task_of(content, settings, options.direction))
+
+        def first(gait: Prediction) -> tuple[Gait, Measure]:
+            grooves = round(gait.grooves_per_cycle)
+            aim = Aim(options.probability or PROBABILITY, grooves, limits, options.parameters)
+            return gait.gait, lambda bags: measured_step(bags, aim, say)
+
+        three = {name: first(gait) for name, gait in plan.optimisation.front.three.items()}
+        with gait_recorder(self._robot, self._logs, say, ask) as record:
+            tuned = tune_gaits(three, record, self._folder, say)
+        gaits = {name: each.step.gait for name, each in tuned.items()}
+        predicted = predicted_gaits(gaits, content, settings)
+        self._plan = replace(plan, gaits={**plan.gaits, **predicted})
+        self._summary["tuning"] = {name: tuned_json(each) for name, each in tuned.items()}
 
     def _identify(self) -> None:
         """Record the missing runs, identify the parameters unless the results exist, and use the parameters."""
@@ -307,9 +344,10 @@ def _folder(options: argparse.Namespace) -> Path:
 def _is_begun(folder: Path) -> bool:
     """Return True if a folder contains a campaign that can be continued."""
     from worm_optimizer.operation.campaign_plan import PROMISES
+    from worm_optimizer.operation.campaign_runs import TUNING
     from worm_optimizer.operation.identification_runs import RUNS
 
-    return (folder / PROMISES).exists() or (folder / RUNS).exists()
+    return any((folder / name).exists() for name in (PROMISES, RUNS, TUNING))
 
 
 def _hint(folder: Path) -> str:

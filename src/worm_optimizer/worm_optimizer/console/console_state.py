@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from worm_model.gait import FORWARD
@@ -14,6 +15,7 @@ from worm_model.twin.data.records import StateRecord
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.console.bag_library import BagLibrary
 from worm_optimizer.console.control import PageControl
+from worm_optimizer.console.gait_fields import LIMITS
 from worm_optimizer.console.page_actions import Front
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
@@ -27,7 +29,7 @@ _FRESH_S = 0.02  # time for which all pages share a snapshot, s
 class ConsoleState:
     """Shared state. All pages use it in one thread, that of the web server.
 
-    Commands in the worker's command thread change ``fronts``, ``front_notes`` and ``conditions``. Both
+    Commands in the worker's command thread change ``fronts``, ``front_notes``, ``limits`` and ``conditions``. Both
     threads of the worker append to ``notices``, too.
 
     Attributes:
@@ -39,6 +41,7 @@ class ConsoleState:
         notices: messages, the newest last.
         fronts: fronts, by direction.
         front_notes: what there is to say about the front of a direction, or why there is none.
+        limits: the driver's limits on gaits, see `LIMITS`; without any until they are read.
         conditions: conditions in the pipe that the optimizer assumes, as the console last read or set them.
         samples: values of the last minute.
     """
@@ -51,6 +54,7 @@ class ConsoleState:
     notices: deque[Notice]
     fronts: dict[int, Front] = field(default_factory=dict)
     front_notes: dict[int, str] = field(default_factory=dict)
+    limits: Sequence[float] = (math.inf,) * len(LIMITS)
     conditions: Conditions = LEVEL
     samples: deque[dict[str, float]] = field(
         default_factory=lambda: deque(maxlen=round(HISTORY_S / SAMPLE_S))

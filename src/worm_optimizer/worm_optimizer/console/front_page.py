@@ -13,9 +13,10 @@ from worm_msgs.gait import FORWARD, REVERSE, Gait
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.charts import Axis, axis_of, dots
 from worm_optimizer.console.console_state import ConsoleState
+from worm_optimizer.console.gait_fields import LIMITS
 from worm_optimizer.console.page_actions import Front
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.operator_node import OperatorNode
+from worm_optimizer.nodes.operator_node import DRIVER, OperatorNode
 from worm_optimizer.nodes.robot_client import OperatorError
 from worm_optimizer.search.gait_request import SAME_LENGTH
 
@@ -143,7 +144,7 @@ class FrontChart:
         return gaits.index(self._gait) if self._gait in gaits else None
 
     def _read_front(self) -> None:
-        """Read the front and the conditions for which it holds. A change of the end of the front is explained."""
+        """Read the front, its conditions, and the driver's limits. A change of the end of the front is explained."""
         state, direction = self._state, self.direction
         length, before = page_actions.initial_length(state.twin()), state.fronts.get(direction)
         state.front_notes[direction] = _READING
@@ -152,6 +153,7 @@ class FrontChart:
             try:
                 front = page_actions.read_front(node, direction, length)
                 state.conditions = node.conditions()
+                state.limits = node.numbers(DRIVER, LIMITS)
             except (OperatorError, InputError) as error:
                 state.front_notes[direction] = f"no front: {error}"
                 return ""

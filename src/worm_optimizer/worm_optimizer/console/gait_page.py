@@ -16,6 +16,7 @@ from worm_msgs.gait import GAIT_DEFAULTS, Gait, Profile
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.front_page import ActionButton, FrontChart
+from worm_optimizer.console.gait_fields import FIELDS, field_error, rejection
 from worm_optimizer.console.view import MOVING, obstacles
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OperatorNode
@@ -26,15 +27,6 @@ from worm_optimizer.search.gait_request import SAME_LENGTH
 
 REFRESH_S = 0.25
 _ASSUMES = "The optimizer assumes {}."
-# Name on the page and factor from the SI unit, by the name of the gait's field
-_FIELDS = {
-    "stroke": ("stroke, mm", 1e3),
-    "frequency": ("frequency, Hz", 1.0),
-    "margin": ("margin, mm", 1e3),
-    "pretension": ("pretension, mm", 1e3),
-    "contraction_share": ("contraction share", 1.0),
-    "ramp_share": ("ramp share", 1.0),
-}
 # Name, factor from the SI unit, field with the margin and field without the margin of each predicted value
 _PREDICTED = (
     ("speed, mm/s", 1e3, "speed", "nominal_speed"),
@@ -95,8 +87,10 @@ class GaitPage:
         """Build the fields of the gait and of the conditions."""
         with ui.element("div").classes("fields w-full"):
             self._fields = {
-                name: _field(title, scale * GAIT_DEFAULTS.get(name, math.nan), self._edit)
-                for name, (title, scale) in _FIELDS.items()
+                name: _field(
+                    field.title, field.scale * GAIT_DEFAULTS.get(name, math.nan), self._edit
+                )
+                for name, field in FIELDS.items()
             }
             self._profile = (
                 ui.toggle(
@@ -164,9 +158,11 @@ class GaitPage:
         if reason:
             return reason
         try:
-            self._command()
+            command = self._command()
         except InputError as error:
             return str(error)
+        if reason := rejection(command.gait, self._state.limits):
+            return reason
         return "" if self._prediction else self._remark or "the prediction is being computed"
 
     def _choose(self, prediction: Prediction) -> None:
@@ -174,8 +170,8 @@ class GaitPage:
         self._gait, self._prediction = prediction.gait, prediction
         self._error = self._remark = ""
         self._filled = {
-            name: round(scale * getattr(prediction, name), 4)
-            for name, (_, scale) in _FIELDS.items()
+            name: round(field.scale * getattr(prediction, name), 4)
+            for name, field in FIELDS.items()
         }
         self._filling = True
         for name, value in self._filled.items():
@@ -195,18 +191,17 @@ class GaitPage:
             return
         # The field of an unchanged value shows fewer digits than the gait has.
         values = {
-            name: value / _FIELDS[name][1]
+            name: value / FIELDS[name].scale
             for name, value in shown.items()
             if self._gait is None or value != self._filled.get(name)
         }
         values |= {"direction": self._front.direction, "profile": Profile(self._profile.value)}
-        try:
-            known = {} if self._gait is None else dataclasses.asdict(self._gait)
-            gait = Gait(**(known | values))
-            self._error = ""
-        except InputError as error:
-            self._error, self._prediction, self._asked = str(error), None, None
+        self._error = field_error(shown)
+        if self._error:
+            self._prediction = self._asked = None
             return
+        known = {} if self._gait is None else dataclasses.asdict(self._gait)
+        gait = Gait(**(known | values))
         self._filled = shown
         if gait != self._gait:
             self._gait, self._prediction, self._remark = gait, None, ""

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from worm_model.analysis.run_metrics import last_played_gait
@@ -14,7 +16,7 @@ from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError
 from worm_model.gait import Gait
 from worm_optimizer.nodes.operator_node import OPTIMIZER
-from worm_optimizer.operation.bring_up import Say, Session, recorded, session
+from worm_optimizer.operation.bring_up import CYCLES, Say, Session, recorded, session
 from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.tuning import TuneState, Tuning
@@ -50,31 +52,51 @@ def run_gaits(
         say: called with each line of progress.
         prepare: called before each gait; raises an exception to end the campaign.
     """
-    missing = {name: order for name, order in orders.items() if not is_recorded(folder / name)}
-    for name in orders:
-        if name not in missing:
-            say(f"{name}: recorded already")
-    if not missing:
-        return
+    with gait_recorder(robot, logs, say, prepare) as record:
+        for name, order in orders.items():
+            record(folder / name, order)
+
+
+@contextmanager
+def gait_recorder(
+    robot: Robot, logs: Path, say: Say, prepare: Prepare = at_once
+) -> Iterator[Callable[[Path, GaitCommand], None]]:
+    """Provide a function that runs a gait and records it as a bag; see `run_gaits`. The first run starts the nodes."""
+    with ExitStack() as nodes:
+        start = cache(lambda: nodes.enter_context(_active_robot(robot, logs, say)))
+        latest: int | None = None
+
+        def record(bag: Path, order: GaitCommand) -> None:
+            nonlocal latest
+            if is_recorded(bag):
+                say(f"{bag.name}: recorded already")
+                return
+            running = start()
+            node = running.node
+            prepare(running, f"{bag.name}: {order}")
+            put_aside(bag, say)
+            say(f"{bag.name}: {order}")
+            with recorded(node, robot.recorder(bag)):
+                if latest not in (None, node.run_number):
+                    say(f"{bag.name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
+                running.run_gait(order)
+            latest = node.run_number
+            if not is_recorded(bag):
+                say(f"{bag.name}: the tracker missed the end of the gait; --resume runs it again")
+
+        yield record
+
+
+@contextmanager
+def _active_robot(robot: Robot, logs: Path, say: Say) -> Iterator[Session]:
+    """Start the robot's nodes and activate its driver; at the end, bring it to rest and release the torque."""
     whole = robot.system()
     # The front is known, so that no optimizer is needed.
     system = replace(whole, nodes=tuple(each for each in whole.nodes if each.name != OPTIMIZER))
     with session(system, logs, say) as running:
-        node = running.node
-        node.require_tracker()
+        running.node.require_tracker()
         running.activate()
-        latest = node.run_number
-        for name, order in missing.items():
-            prepare(running, f"{name}: {order}")
-            put_aside(folder / name, say)
-            say(f"{name}: {order}")
-            with recorded(node, robot.recorder(folder / name)) as bag:
-                if node.run_number != latest:
-                    say(f"{name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
-                running.run_gait(order)
-            latest = node.run_number
-            if not is_recorded(bag):
-                say(f"{name}: the tracker missed the end of the gait; --resume runs it again")
+        yield running
         running.release()
 
 
@@ -105,6 +127,7 @@ def put_aside(bag: Path, say: Say) -> None:
 
 
 MOST_RUNS = 5
+TUNING = "tuning"  # folder of a campaign's bags
 
 #: Runs a gait and returns its bag. Arguments: the gait, and the number of the run from 1. Raises an exception to end.
 Record = Callable[[Gait, int], Path]
@@ -140,3 +163,31 @@ def tune_gait(gait: Gait, record: Record, measure: Measure, say: Callable[[str],
             break
         gait = step.gait
     return Tuned(step, tuple(bags))
+
+
+def tune_gaits(
+    gaits: Mapping[str, tuple[Gait, Measure]],
+    record: Callable[[Path, GaitCommand], None],
+    folder: Path,
+    say: Say,
+) -> dict[str, Tuned]:
+    """Tune gaits one after the other, with run N recorded as ``folder/tuning/NAME_N``; see `tune_gait`.
+
+    Args:
+        gaits: by name, the first gait and the measurement of its bags.
+        record: see `gait_recorder`.
+        folder: folder of the campaign.
+        say: called with each line of progress.
+    """
+    runs = folder / TUNING
+    runs.mkdir(parents=True, exist_ok=True)
+
+    def tuned(name: str, first: Gait, measure: Measure) -> Tuned:
+        def run(gait: Gait, number: int) -> Path:
+            bag = runs / f"{name}_{number}"
+            record(bag, GaitCommand(gait, CYCLES))
+            return bag
+
+        return tune_gait(first, run, measure, say)
+
+    return {name: tuned(name, *each) for name, each in gaits.items()}

@@ -64,10 +64,10 @@ def identification_orders(direction: int, pitch: float) -> dict[str, GaitCommand
     }
 
 
-def put_back(running: Session, text: str) -> None:
+def put_back(running: Session, _text: str) -> None:
     """Move a virtual robot back to its start, because the identification assumes the same ridges in all runs."""
     running.node.inject_fault("put_back")
-    running.say(f"the robot is back at its start; {text}")
+    running.say("the robot is back at its start")
 
 
 def virtual_bench(robot: Robot, folder: Path, logs: Path) -> tuple[Path, Path]:

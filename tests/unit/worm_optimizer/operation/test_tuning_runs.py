@@ -14,12 +14,21 @@ from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.run import Run, TrackerSamples
 from worm_optimizer.commands.tune import Aim, measured_step
-from worm_optimizer.operation.campaign_runs import MOST_RUNS, tune_gait
+from worm_optimizer.operation.campaign_runs import (
+    MOST_RUNS,
+    TUNING,
+    gait_recorder,
+    tune_gait,
+    tune_gaits,
+)
+from worm_optimizer.operation.system import Robot, load_system_file
 from worm_optimizer.robustness.tuning import GaitLimits, TuneState, Tuning
 
 FRAGILE = Gait(0.0713, 0.2)  # loses grooves on most foreign robots
 LARGEST_M = 0.085
 AIM = Aim(0.99, 2, GaitLimits(lambda _: LARGEST_M), "")
+SYSTEM = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
+NO_NODES = Robot(dataclasses.replace(SYSTEM, nodes={}), "virtual", {})
 
 
 class Operator:
@@ -43,7 +52,7 @@ def step_of(aim: Aim, said: list[str]) -> Callable[[Sequence[Path]], Tuning]:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fragile_gait_becomes_one_that_keeps_its_grooves(seed: int, tmp_path: Path):
-    operator, said = Operator(some_robot(seed), tmp_path), []
+    operator, said = Operator(some_robot(seed), tmp_path / TUNING), []
     tuned = tune_gait(FRAGILE, operator, step_of(AIM, said), said.append)
     assert tuned.step.state is TuneState.DONE
     assert 0.0 <= operator.gaits[-1].stroke - tuned.step.gait.stroke <= 0.0015
@@ -57,6 +66,11 @@ def test_a_fragile_gait_becomes_one_that_keeps_its_grooves(seed: int, tmp_path: 
     )
     assert set(cycles[1:]) == {2}
     assert f"run 1 of at most {MOST_RUNS}: 71.3 mm, 0.2 Hz" in said
+    # a resumed campaign measures its recordings again, and starts no node: none is configured
+    three = {"cruise": (FRAGILE, step_of(AIM, []))}
+    with gait_recorder(NO_NODES, tmp_path / "no_logs", said.append) as record:
+        assert tune_gaits(three, record, tmp_path, said.append) == {"cruise": tuned}
+    assert "cruise_1: recorded already" in said
 
 
 @pytest.mark.parametrize(("excess", "reason"), [(0.001, ""), (0.006, "--objective min_power")])
