@@ -116,7 +116,7 @@ def _kills() -> list[Row]:
             killed = time.time_ns()
             recorder.wait(TIMEOUT)
             with open_bag(bag, lambda _: None) as reader:
-                lost.append((killed - reader.end) * 1e-9)
+                lost.append((killed - reader.spans[-1][1]) * 1e-9)
             gaps += sum(found != list(range(len(found))) for found in _numbers(bag).values())
     how = f"longest of {KILLS}, at seeded random moments of 5000 messages/s"
     return [
