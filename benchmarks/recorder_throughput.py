@@ -40,7 +40,8 @@ def _start(
     group: ProcessGroup, bag: Path, rate: float, size: int, seconds: float
 ) -> tuple[Process, Process]:
     record = executable_command("worm_model", "record")
-    recorder = group.start("recorder", [*record, "-o", str(bag), "--json"])
+    topics = [f"/load_{i}" for i in range(TOPICS)]
+    recorder = group.start("recorder", [*record, *topics, "-o", str(bag), "--json"])
     recorder.wait_for_line("recording to", TIMEOUT)
     arguments = [str(rate), str(size), str(seconds)]
     load = group.start("load", [sys.executable, "-m", "benchmarks.publish_load", *arguments])
