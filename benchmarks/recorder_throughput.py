@@ -40,7 +40,8 @@ def _start(
     group: ProcessGroup, bag: Path, rate: float, size: int, seconds: float
 ) -> tuple[Process, Process]:
     record = executable_command("worm_model", "record")
-    recorder = group.start("recorder", [*record, "-o", str(bag), "--json"])
+    topics = [f"/load_{i}" for i in range(TOPICS)]
+    recorder = group.start("recorder", [*record, *topics, "-o", str(bag), "--json"])
     recorder.wait_for_line("recording to", TIMEOUT)
     arguments = [str(rate), str(size), str(seconds)]
     load = group.start("load", [sys.executable, "-m", "benchmarks.publish_load", *arguments])
@@ -116,7 +117,7 @@ def _kills() -> list[Row]:
             killed = time.time_ns()
             recorder.wait(TIMEOUT)
             with open_bag(bag, lambda _: None) as reader:
-                lost.append((killed - reader.end) * 1e-9)
+                lost.append((killed - reader.spans[-1][1]) * 1e-9)
             gaps += sum(found != list(range(len(found))) for found in _numbers(bag).values())
     how = f"longest of {KILLS}, at seeded random moments of 5000 messages/s"
     return [

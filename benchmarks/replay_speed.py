@@ -12,7 +12,7 @@ from benchmarks.report import Row, wall_time
 from worm_model.analysis.replay_metrics import report_replay
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
-from worm_model.bags.run_reader import RunReader, read_run
+from worm_model.bags.run_reader import read_parts, read_run
 from worm_model.bags.run_writer import write_run
 from worm_model.bags.worm_topics import TWIN_INPUTS
 from worm_model.commands.replay import write_replay
@@ -56,8 +56,8 @@ def _measure(cycles: int) -> list[Row]:
         def publish() -> None:
             with open_bag(path) as bag:
                 output = Path(folder, f"output_{len(list(Path(folder).iterdir()))}")
-                reader = RunReader(bag, "", TWIN_INPUTS)
-                write_replay(bag, output, OfflineReplay(reader.parts, PAPER), "/worm")
+                parts = read_parts(bag, "", TWIN_INPUTS)
+                write_replay(bag, output, OfflineReplay(lambda: parts, PAPER), "/worm")
 
         name = f"a bag of {duration:.0f} s"
         calls = (

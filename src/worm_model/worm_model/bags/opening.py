@@ -242,15 +242,15 @@ class Bag:
         extents = [(file, extent) for file in files for extent in file.extents]
         # Extents with equal times stay in the order of the files.
         extents.sort(key=lambda item: (item[1].start, item[1].end))
-        starts = [extent.start for _, extent in extents[1:]]
         pending: list[Messages] = []
-        for (file, extent), following in zip_longest(extents, starts):
+        for (file, extent), following in zip_longest(extents, extents[1:]):
             pending.append(file.messages(extent, wanted))
-            if following is None or sum(len(p.buffer) for p in pending) >= TOGETHER_BYTES:
+            size = sum(len(block.buffer) for block in pending)
+            if following is None or following[0] is not file or size >= TOGETHER_BYTES:
                 block = concatenate(pending).sorted()
                 ready = len(block)
                 if following is not None:
-                    ready = int(np.searchsorted(block.log_time, np.uint64(following)))
+                    ready = int(np.searchsorted(block.log_time, np.uint64(following[1].start)))
                 if ready:
                     yield block.select(slice(ready))
                 rest = block.select(slice(ready, None))

@@ -30,7 +30,7 @@ def read_tables(bag: Bag, topics: Collection[str]) -> tuple[dict[str, Table], di
     channels = [channel for channel in bag.channels if channel.name in topics and channel.count]
     readable, left_out = _readable(channels)
     builders = {channel.name: ColumnBuilder(MOST_ELEMENTS) for channel in readable}
-    for block in bag.blocks(builders):
+    for block in bag.blocks(topics):
         for name, messages in block.by_topic():
             try:
                 if name not in left_out:
