@@ -51,39 +51,24 @@ def test_the_last_three_of_five_cycles_are_averaged():
 
 
 @pytest.mark.parametrize(
-    ("state", "reason"),
-    [
-        (FAULT, "ended in FAULT after 2 of 5 cycles"),
-        (STOPPING, "stopped after 2 of 5 cycles"),
-        (IDLE, "ended (idle) after 2 of 5 cycles"),
+    ("states", "times", "reason", "averaged"),
+    [  # 5 s per cycle
+        ((RUNNING, FAULT), (5.0, 11.0), "ended in FAULT after 2 of 5 cycles", (1, 2)),
+        ((RUNNING, STOPPING), (5.0, 11.0), "stopped after 2 of 5 cycles", (1, 2)),
+        ((RUNNING, IDLE), (5.0, 11.0), "ended (idle) after 2 of 5 cycles", (1, 2)),
+        # The two topics have different clocks, a tenth of a second apart: the third cycle was complete.
+        ((RUNNING, IDLE), (5.0, 14.9), "ended (idle) after 3 of 5 cycles", (1, 3)),
+        # A gait that is stopped plays on to its next point of rest.
+        ((STOPPING, IDLE), (11.0, 15.0 - 1e-9), "stopped after 3 of 5 cycles", (1, 3)),
+        ((STOPPING, FAULT), (11.0, 15.0 - 1e-9), "ended in FAULT after 3 of 5 cycles", (1, 3)),
     ],
 )
-def test_an_early_end_is_reported_with_the_cycles_that_were_played(state, reason):
-    stamp = stamps([-1.0, 0.0, 5.0, 14.9])  # 5 s per cycle
-    states = gait_states([RESTING, RUNNING, RUNNING, state], [0, EPOCH, EPOCH, EPOCH], 5)
-    late = dataclasses.replace(states, stamp=stamp)
-    early = dataclasses.replace(states, stamp=np.append(stamp[:3], stamps([11.0])))
-    run = Run(gait_state=early)
-    assert run_metrics.early_end(run, run_metrics.last_played_gait(early)) == reason
-    assert run_metrics.averaged_cycles(run, run_metrics.last_played_gait(early)) == (1, 2)
-    # The two topics have different clocks, a tenth of a second apart: the third cycle was complete.
-    assert run_metrics.averaged_cycles(
-        Run(gait_state=late), run_metrics.last_played_gait(late)
-    ) == (1, 3)
-
-
-@pytest.mark.parametrize(
-    ("state", "reason"),
-    [(IDLE, "stopped after 3 of 5 cycles"), (FAULT, "ended in FAULT after 3 of 5 cycles")],
-)
-def test_a_gait_that_is_stopped_plays_on_to_its_next_point_of_rest(state, reason):
-    states = gait_states([RESTING, RUNNING, STOPPING, state], [0, EPOCH, EPOCH, EPOCH], 5)
-    states = dataclasses.replace(
-        states, stamp=stamps([-1.0, 0.0, 11.0, 15.0 - 1e-9])
-    )  # 5 s per cycle
-    run, played = Run(gait_state=states), run_metrics.last_played_gait(states)
+def test_an_early_end_is_reported_with_the_cycles_that_were_played(states, times, reason, averaged):
+    reported = gait_states([RESTING, RUNNING, *states], [0, EPOCH, EPOCH, EPOCH], 5)
+    reported = dataclasses.replace(reported, stamp=stamps([-1.0, 0.0, *times]))
+    run, played = Run(gait_state=reported), run_metrics.last_played_gait(reported)
     assert run_metrics.early_end(run, played) == reason
-    assert run_metrics.averaged_cycles(run, played) == (1, 3)
+    assert run_metrics.averaged_cycles(run, played) == averaged
 
 
 @pytest.mark.parametrize(("cycles", "whole"), [(0.5, 0), (1.5, 1)])

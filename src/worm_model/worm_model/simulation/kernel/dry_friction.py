@@ -58,12 +58,6 @@ def _sign(value: float) -> int:
 
 
 @inlined
-def _side_from_rest(load: float, dry: float) -> int:
-    """Return the sign of the velocity that a force in N gives a module at rest; 0 if dry friction holds it."""
-    return 0 if abs(load) <= dry + SPARE else _sign(load)
-
-
-@inlined
 def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     """Return the grip of two modules at rest.
 
@@ -75,7 +69,7 @@ def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     """
     both = c.resistance.rear_dry + c.resistance.front_dry
     if stretch == 0:
-        side = _side_from_rest(load, both)
+        side = 0 if abs(load) <= both + SPARE else _sign(load)
         return Grip(side, side)
     along = stretch * load
     if along > both + SPARE:
@@ -132,11 +126,13 @@ def _judge(
     if rear_rests:
         side = _sign(front_velocity)
         load -= c.resistance.front_dry * side
-        return Grip(_side_from_rest(load, c.resistance.rear_dry), side), c.body.mu * rate
+        return Grip(
+            0 if abs(load) <= c.resistance.rear_dry + SPARE else _sign(load), side
+        ), c.body.mu * rate
     side = _sign(rear_velocity)
     if front_rests:
         load += moved - c.resistance.rear_dry * side
-        own = _side_from_rest(load, c.resistance.front_dry)
+        own = 0 if abs(load) <= c.resistance.front_dry + SPARE else _sign(load)
         return Grip(side, own), (c.body.mu - 1.0) * rate
     return Grip(side, _sign(front_velocity)), motion.rate
 

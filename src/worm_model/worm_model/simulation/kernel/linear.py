@@ -186,12 +186,6 @@ def combine(a: float, x: Coefficients, b: float, y: Coefficients) -> Coefficient
 
 
 @inlined
-def cubic(one: float, t1: float, t2: float, t3: float) -> Coefficients:
-    """Return the coefficients of a cubic in σ."""
-    return Coefficients(one, t1, t2, t3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@inlined
 def shifted(c: Coefficients, offset: float) -> Coefficients:
     """Return the quantity plus a constant."""
     return Coefficients(c.one + offset, c.t1, c.t2, c.t3, c.cos, c.sin, c.exp, c.h1, c.h2, c.res)

@@ -16,7 +16,7 @@ from worm_model.simulation.kernel import march, mode
 from worm_model.simulation.kernel.actuation_law import Actuator, value_at
 from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlocked
 from worm_model.simulation.kernel.grooves import Grooves
-from worm_model.simulation.kernel.linear import Wave, cubic
+from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.start import start_of
 from worm_model.simulation.kernel.waveform import PARTS, answer_to_part, borders_of
 
@@ -272,7 +272,18 @@ def run_sampled(
         duration = breaks[k + 1] - breaks[k]
         if duration < 0.0:
             continue
-        form = cubic(coefficients[0, k], coefficients[1, k], coefficients[2, k], coefficients[3, k])
+        form = Coefficients(
+            coefficients[0, k],
+            coefficients[1, k],
+            coefficients[2, k],
+            coefficients[3, k],
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        )
         segment = march.Segment(breaks[k], duration, form, still)
         motion = march.march(segment, motion, c, grooves, records)
         if records.totals[march.FAILURE] != 0.0:
