@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from worm_model.commands.command_line import (
@@ -20,11 +20,39 @@ from worm_model.loads import under
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.text_table import labelled
 from worm_msgs.conditions import LEVEL, Conditions, conditions_of
+from worm_msgs.gait import MAX_STROKE
 
 if TYPE_CHECKING:
     from worm_model.simulation.simulator import GaitResult
 
 # The simulator is imported where it is used, because --help does not need it and its compiler starts slowly.
+
+_NEARBY = (
+    1e-9  # m; difference in stroke beyond the accuracy of a robot, and within that of the simulator
+)
+_VISIBLE = (
+    1e-3  # relative difference of power, or difference of grooves per cycle, that the text shows
+)
+
+
+def decided_by_rounding(result: GaitResult, parameters: Parameters) -> list[str]:
+    """Return the ranges of the grooves and of the power, as texts, if they differ visibly at strokes `_NEARBY`.
+
+    They do for a gait on an edge, and for a robot whose motion exceeds double precision.
+    """
+    from worm_model.simulation.simulator import evaluate_gait
+
+    stroke = result.gait.stroke
+    nearby = max(stroke - _NEARBY, 0.0), min(stroke + _NEARBY, MAX_STROKE)
+    gaits = (replace(result.gait, stroke=changed) for changed in nearby)
+    results = [result, *(evaluate_gait(gait, parameters) for gait in gaits)]
+    grooves, powers = sorted(r.grooves_per_cycle for r in results), sorted(r.power for r in results)
+    texts = []
+    if grooves[-1] - grooves[0] > _VISIBLE:
+        texts.append(f"{grooves[0]:.3f} to {grooves[-1]:.3f} grooves per cycle")
+    if powers[-1] > (1.0 + _VISIBLE) * powers[0]:
+        texts.append(f"{powers[0]:.4f} to {powers[-1]:.4f} W")
+    return texts
 
 
 def gait_json(result: GaitResult, conditions: Conditions) -> dict[str, Any]:
@@ -136,7 +164,10 @@ def _evaluate(options: argparse.Namespace) -> None:
     from worm_model.simulation.simulator import evaluate_gait
 
     result = evaluate_gait(gait, parameters)
-    print_result(options, gait_json(result, conditions), describe(result, parameters))
+    ranges, text = decided_by_rounding(result, parameters), describe(result, parameters)
+    if ranges:
+        text += f"\nrounding decides: strokes that differ by {1e9 * _NEARBY:g} nm give {' and '.join(ranges)}"
+    print_result(options, {**gait_json(result, conditions), "decided_by_rounding": ranges}, text)
 
 
 main = executable(_parser, _evaluate)

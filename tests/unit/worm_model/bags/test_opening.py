@@ -309,3 +309,15 @@ def test_a_bag_without_definitions_is_read_by_the_installed_ones_if_they_fit(
         else:
             assert read_run(opened).power.power.tolist() == [2.5]
     assert any("no definitions of /worm/power;" in line for line in reported)
+
+
+def test_of_two_definitions_the_one_that_fits_the_hash_is_read(tmp_path: Path):
+    """A recording whose definition comes from another workspace, for example."""
+    topic = topic_of("/worm/power", "worm_msgs/msg/Power")
+    (data,) = encode(topic, 1, {"power": 2.5}, {})
+    other = "std_msgs/Header header\nuint8 status\nfloat64 power\n"
+    std_msgs = topic.definition[topic.definition.index("=" * 80) :]
+    with new_bag(tmp_path / "bag") as writer:
+        writer.write(replace(topic, definition=other + std_msgs), data, 1, 1)
+    with open_bag(tmp_path / "bag") as bag:
+        assert read_run(bag).power.power.tolist() == [2.5]

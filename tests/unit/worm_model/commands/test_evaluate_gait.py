@@ -32,6 +32,32 @@ def test_json_is_one_object_with_the_contracts_keys(run) -> None:
     assert gait["groove_phase"] == pytest.approx(0.0011)
 
 
+def test_results_that_rounding_decides_are_named(run, tmp_path) -> None:
+    low, high = 0.07, 0.0755  # one and two grooves per cycle; between them lies an edge
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (
+            (low, middle) if evaluate_gait(Gait(middle, 0.15)).min_grooves > 1.5 else (middle, high)
+        )
+    at_edge = "--stroke", repr(high), "--frequency", "0.15"
+    assert "1.000 to 2.000 grooves per cycle" in run(command, *at_edge)[1]
+    (decided,) = json.loads(run(command, *at_edge, "--json")[1])["decided_by_rounding"]
+    assert "grooves" in decided
+    clear = "--stroke", "0.0755", "--frequency", "0.15"
+    assert json.loads(run(command, *clear, "--json")[1])["decided_by_rounding"] == []
+    (tmp_path / "stiff.yaml").write_text(
+        "rear_mass: 2.9162\nfront_mass: 0.059622\nviscous_friction: 20769\ntime_constant: 10\n"
+    )
+    beyond = (
+        "--stroke 0.095884 --frequency 2.0557 --pretension 0.0077588 --profile trapezoid".split()
+    )
+    shape = "--contraction-share", "0.012671", "--ramp-share", "0.4991"
+    file = "--parameters", str(tmp_path / "stiff.yaml")
+    found = json.loads(run(command, *beyond, *shape, *file, "--json")[1])
+    assert any(" W" in text for text in found["decided_by_rounding"])
+    assert found["power"] >= 0.82
+
+
 def evaluated(run, source: Path, target: Path) -> tuple[dict, list[dict[str, str]]]:
     """Return the report on a table of gaits, and the rows of the written table."""
     status, out, _ = run(command, "--gaits", str(source), "--output", str(target), "--json")

@@ -192,24 +192,43 @@ def _plain_idl(definition: str) -> str:
     return text
 
 
+@lru_cache(maxsize=256)
 def type_hash(type_name: str, definition: str, definition_format: str) -> str:
     """Return the RIHS01 hash of a type; empty if `rosbags` cannot compute it."""
     store = typestore(type_name, definition, definition_format)
     try:
         return str(store.hash_rihs01(type_name))
-    except (TypesysError, KeyError, ValueError):
+    except (TypesysError, KeyError, ValueError, RecursionError):  # of a type that contains itself
         return ""
 
 
 def with_definition(topic: Topic) -> Topic:
-    """Return the topic with a definition: its own, or the installed one if the type hashes do not differ."""
-    if topic.definition:
+    """Return the topic with the definition that fits its type hash: its own, or else the installed one.
+
+    The two disagree, for example, if a bag was rewritten in a newer workspace. If neither fits, its own one counts.
+    """
+    if topic.definition and _fits(topic):
         return topic
     if not topic.type_name:
         raise DefinitionError(f"{topic.name} has neither a type nor a definition")
-    found = topic_of(topic.name, topic.type_name, topic.offered_qos)
-    if topic.type_hash not in ("", found.type_hash):
-        raise DefinitionError(
-            f"the type hash of {topic.name} differs from that of the installed {topic.type_name}; {REMEDY}"
-        )
-    return replace(found, count=topic.count)
+    try:
+        found = topic_of(topic.name, topic.type_name, topic.offered_qos)
+    except DefinitionError:
+        if topic.definition:
+            return topic
+        raise
+    if topic.type_hash in ("", found.type_hash):
+        return replace(found, count=topic.count)
+    if topic.definition:
+        return topic
+    raise DefinitionError(
+        f"the type hash of {topic.name} differs from that of the installed {topic.type_name}; {REMEDY}"
+    )
+
+
+def _fits(topic: Topic) -> bool:
+    try:
+        found = type_hash(topic.type_name, topic.definition, topic.definition_format)
+    except DefinitionError:
+        return not topic.type_hash
+    return "" in (found, topic.type_hash) or found == topic.type_hash
