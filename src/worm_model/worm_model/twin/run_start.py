@@ -33,6 +33,7 @@ from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, POSITION, REST_S, Memory
 from worm_model.twin.data.samples import DriverState, SampleKind
+from worm_model.twin.record_changes import end_of_cycle
 from worm_model.twin.start_estimate import Start
 from worm_msgs.gait import FORWARD, WAVEFORM, Gait
 
@@ -114,11 +115,6 @@ def begin_run(
     # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
     m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
     return start, text
-
-
-def end_of_cycle(m: Any, gait: Gait) -> int:
-    """Return the end (ns) of the present cycle of a gait; ``m`` is the record of the memory."""
-    return int(m["start_ns"]) + round(int(m["cycle"]) * gait.period * NANOSECONDS)
 
 
 def _stand(

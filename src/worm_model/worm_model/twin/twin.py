@@ -24,13 +24,12 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
-from worm_model.twin import diagnosis
+from worm_model.twin import diagnosis, record_changes
 from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP, NEAR_EDGE
 from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
     LOOK_AHEAD_NS,
     NANOSECONDS,
-    POSITION,
     VERDICTS,
     Memory,
     OutputRows,
@@ -39,12 +38,12 @@ from worm_model.twin.core.memory import (
     new_rows,
 )
 from worm_model.twin.data.records import Event, Severity
-from worm_model.twin.data.samples import DriverState, SampleRows, driver_state_of
+from worm_model.twin.data.samples import DriverState, SampleRows
 from worm_model.twin.diagnosis import CycleSeen, Finding, History
 from worm_model.twin.edges import Edge, edge_of
 from worm_model.twin.run_margins import NO_MARGINS, RunPositions
-from worm_model.twin.run_start import begin_run, end_of_cycle, is_new_run
-from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
+from worm_model.twin.run_start import begin_run, is_new_run
+from worm_model.twin.start_estimate import Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 from worm_msgs.gait import Gait
 
@@ -178,8 +177,7 @@ class Twin:
         With ``to_the_end`` no samples follow, so that all samples are processed at once.
         """
         m = state.record
-        m["delay"] = round(self.settings.delay_s * NANOSECONDS)
-        m["usual_size"] = self.settings[1:]
+        record_changes.use_settings(m, self.settings.delay_s, self.settings[1:])
         waiting = int(m["filled"]) - int(m["place"])
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
         call = _Call(self, state, room)
@@ -247,9 +245,7 @@ class _Call:
         """Handle the boundary at which the core has returned."""
         m = self.state.record
         if boundary == estimator.DRIVER_STATE:
-            driver = driver_state_of(self.state.memory.rows[int(m["place"])])
-            m["place"] += 1
-            self._apply(driver)
+            self._apply(record_changes.next_driver_state(self.state.memory))
         elif boundary == estimator.CYCLE_END:
             self._close_cycle(int(m["cycle_end_ns"]))
         elif boundary == estimator.UNANNOUNCED_RUN:
@@ -289,11 +285,7 @@ class _Call:
     def _apply(self, driver: DriverState) -> None:
         m = self.state.record
         is_new = is_new_run(m, driver)
-        if driver.activity == Activity.RESTING != m["activity"]:
-            m["rest_ns"] = driver.stamp_ns
-        m["activity"] = driver.activity
-        if driver.activity in PLAYING:
-            m["reported_cycle"] = driver.cycle
+        record_changes.store_driver_state(m, driver)
         if is_new:
             self._end(int(m["processed_ns"]))
             self._begin(driver)
@@ -325,14 +317,14 @@ class _Call:
         """Report an edge once per run. From then on, a whole groove does not affect the health."""
         m = self.state.record
         if edge.is_near and not m["edge_slack"]:
-            m["edge_slack"] = self.twin.parameters.pitch
+            record_changes.excuse_groove(m, self.twin.parameters.pitch)
             self.events.append(
                 Event(stamp, Severity.INFO, edge.text, NEAR_EDGE.code, run=int(m["run"]))
             )
 
     def _reject(self, driver: DriverState, reason: str) -> None:
         """Mark a run as not to be judged, and report the reason."""
-        self.state.record["start_known"] = False
+        record_changes.set_start_known(self.state.record, known=False)
         self.state.unusable[driver.run or driver.onset_ns] = reason
         text = f"this gait is not judged: {reason}"
         self.events.append(
@@ -345,9 +337,7 @@ class _Call:
         if m["cycle_end_ns"] and stamp + END_NS >= m["cycle_end_ns"]:
             self._close_cycle(stamp)
         if self.state.is_running:
-            m["cycle_end_ns"], m["end_ns"] = 0, stamp
-            if self._unusable:  # the position of the robot is unknown
-                m["start_ns"] = 0
+            record_changes.end_run(m, stamp, is_usable=not self._unusable)
 
     # --- cycles ---------------------------------------------------------------------------------
 
@@ -377,10 +367,7 @@ class _Call:
             self.complete_states()
             state.margins = state.positions.margins(gait, parameters, int(m["start_ns"]), number)
         self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
-        state.memory.sums[:] = 0.0
-        m["blind_s"], m["cycle_groove"] = 0.0, m["rear_groove"]
-        m["cycle"] += 1
-        m["cycle_end_ns"] = end_of_cycle(m, gait)
+        record_changes.close_cycle(state.memory, gait)
 
     def _judge(self, cycle: CycleSeen) -> tuple[list[Finding], str]:
         """Return the findings of a cycle that has ended, and the reason why the cycle is not judged, empty if it is."""
@@ -391,7 +378,7 @@ class _Call:
             return self._judge_first(cycle, history, findings)
         state.history = history
         if not (cycle.joined or cycle.blind_s):
-            m["start_known"] = True
+            record_changes.set_start_known(m, known=True)
         if cycle.joined:
             return findings, "it began before the first sample"
         if cycle.blind_s:
@@ -411,7 +398,7 @@ class _Call:
         estimates the start. If no start explains the cycle, the cycle is not judged.
         """
         state, m = self.state, self.state.record
-        m["start_known"] = True
+        record_changes.set_start_known(m, known=True)
         off, reason = (
             diagnosis.off_at_end(cycle),
             "the state of the fins at its beginning is unknown",
@@ -426,7 +413,7 @@ class _Call:
         found = estimate_start(state.memory, cycle.parameters, int(m["motion_ns"]))
         if found is not None:
             state.starts[int(m["start_ns"])] = found.start
-            _continue_from(m, found)
+            record_changes.continue_from(m, found)
             text = (
                 f"the gait began with bent fins, the rear module {1e3 * found.start.x1:+.1f} mm off its groove, "
                 "according to the positions"
@@ -441,12 +428,10 @@ class _Call:
     def _follow(self, finding: Finding, stamp: int, gait: Gait) -> None:
         """Report a finding, and correct the twin accordingly."""
         m = self.state.record
-        m["moved"] += finding.grooves
-        m["origin"] += finding.shift
-        if finding.explains_position:
-            m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
-        if np.isfinite(finding.initial_length):
-            m["initial_length"], m["length_fitted"] = finding.initial_length, 1
+        record_changes.shift_origin(
+            m, finding.grooves, finding.shift, explained=finding.explains_position
+        )
+        record_changes.fit_length(m, finding.initial_length)
         if finding.silent:
             return
         code, text = finding.code.code, finding.text
@@ -461,9 +446,7 @@ class _Call:
                 **dict(list(self.state.warnings.items())[-7:]),
                 number: text,
             }
-            # The warning affects the health until the end of the next cycle.
-            m["warning"] = number
-            m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
+            record_changes.warn(m, number, gait)
 
     # --- the clock ------------------------------------------------------------------------------
 
@@ -480,20 +463,9 @@ class _Call:
         self.events.append(Event(stamp, Severity.WARNING, text, CLOCK_JUMP.code))
         fresh = self.twin.start()
         state.clock_set = state.is_running
-        for name in ("counts", "delay", "usual_size"):
-            fresh.record[name] = state.record[name]
+        record_changes.keep(fresh.record, state.record)
         state.memory, state.history, state.joined_cycle = fresh.memory, History(), 0
         sample_buffer.insert_all(state.memory, held, 0)
-
-
-def _continue_from(m: Any, found: EstimatedStart) -> None:
-    """Replace the motion in the record by the one from an estimated start."""
-    motion, start = found.motion, found.start
-    m["origin"] += m["pose_x1"] - start.x1
-    m["pose_x1"], m["pose_front"], m["moved"] = start.x1, start.front_groove, 0
-    m["y"], m["y_rate"] = motion.y, motion.y_rate
-    for name in ("rear_groove", "front_groove", "rear_region", "front_region"):
-        m[name] = getattr(motion, name)
 
 
 @lru_cache(maxsize=16)
