@@ -6,15 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from worm_msgs.gait import (
-    CONTRACTION_SHARE_RANGE,
-    MAX_FREQUENCY,
-    MAX_MARGIN,
-    MAX_PRETENSION,
-    MAX_STROKE,
-    RAMP_SHARE_RANGE,
-    Gait,
-)
+from worm_msgs import gait as limits_of_gaits
+from worm_msgs.gait import Gait
 
 #: parameters of the driver with its limits for `rejection`
 LIMITS = ("limits.max_stroke_m", "limits.max_frequency_hz", "limits.max_cable_speed_m_per_s")
@@ -32,12 +25,14 @@ class GaitField(NamedTuple):
 
 #: by the name of the gait's field; the driver plays no smaller stroke and no lower frequency
 FIELDS: Mapping[str, GaitField] = {
-    "stroke": GaitField("stroke, mm", 1e3, 1.0, 1e3 * MAX_STROKE),
-    "frequency": GaitField("frequency, Hz", 1.0, 0.02, MAX_FREQUENCY),
-    "margin": GaitField("margin, mm", 1e3, 0.0, 1e3 * MAX_MARGIN),
-    "pretension": GaitField("pretension, mm", 1e3, 0.0, 1e3 * MAX_PRETENSION),
-    "contraction_share": GaitField("contraction share", 1.0, *CONTRACTION_SHARE_RANGE),
-    "ramp_share": GaitField("ramp share", 1.0, *RAMP_SHARE_RANGE),
+    "stroke": GaitField("stroke, mm", 1e3, 1.0, 1e3 * limits_of_gaits.MAX_STROKE),
+    "frequency": GaitField("frequency, Hz", 1.0, 0.02, limits_of_gaits.MAX_FREQUENCY),
+    "margin": GaitField("margin, mm", 1e3, 0.0, 1e3 * limits_of_gaits.MAX_MARGIN),
+    "pretension": GaitField("pretension, mm", 1e3, 0.0, 1e3 * limits_of_gaits.MAX_PRETENSION),
+    "contraction_share": GaitField(
+        "contraction share", 1.0, *limits_of_gaits.CONTRACTION_SHARE_RANGE
+    ),
+    "ramp_share": GaitField("ramp share", 1.0, *limits_of_gaits.RAMP_SHARE_RANGE),
 }
 
 
