@@ -101,9 +101,6 @@ def concatenated(kind: type[Any], parts: Sequence[Any]) -> Any:
     """Return the samples of several parts, all of the class ``kind`` of this module, as one object of this class.
 
     Parts without samples are skipped.
-
-    Raises:
-        ValueError: The joints of `JointSamples` differ between the parts.
     """
     parts = [part for part in parts if len(part.stamp)]
     columns: dict[str, Any] = {}

@@ -78,10 +78,6 @@ def reach(environment: Mapping[str, str], middleware: str) -> Reach:
     """Return the access of other hosts to a process after a call of `bind` with this environment.
 
     ``middleware`` is the name of the rmw.
-
-    Raises:
-        NetworkError: WORM_NETWORK has an unknown value, or the network was not opened and this module cannot bind the
-            middleware to this machine.
     """
     decided = environment.get(DECISION, "")
     if decided not in ("", "0", "1"):
@@ -119,9 +115,6 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
 
     Returns:
         Access of other hosts to this process from then on.
-
-    Raises:
-        NetworkError: ROS_DOMAIN_ID is too large. See also `reach`.
     """
     if domain_of(environment) > _LAST_DOMAIN:  # Fast DDS would print several lines
         raise NetworkError(

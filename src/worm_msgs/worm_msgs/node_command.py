@@ -110,12 +110,7 @@ def _reject_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
 
 
 def declare_none(node: Node) -> None:
-    """Reject all given parameters that rclpy does not declare, for a node without parameters of its own.
-
-    Raises:
-        SystemExit: A parameter was given, or a parameter file has sections only for other nodes, one of them with a
-            name that is similar to this node's and probably misspelt. The reason is on standard error.
-    """
+    """Reject all given parameters that rclpy does not declare, for a node without parameters of its own."""
     try:
         declare(node, list)
     except ParameterRejectedError as error:
@@ -128,10 +123,6 @@ def _check_files(node: Node) -> None:
 
     A file that has sections only for other nodes causes a warning. It causes an error if the name of one of these
     sections is similar to this node's, because the name is then probably misspelt.
-
-    Raises:
-        ParameterRejectedError: A file has sections only for other nodes, one of them with a similar name, or only ROS
-            can read it.
     """
     name = node.get_fully_qualified_name()
     files = (file for option, file in pairwise(sys.argv) if option == _FILE_OPTION)

@@ -142,11 +142,7 @@ def exiting_on_signal() -> Iterator[None]:
 
 
 def own_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return a command line without its ROS arguments.
-
-    Raises:
-        SystemExit: ROS rejects a ROS argument, such as a parameter file. The reason is on standard error.
-    """
+    """Return a command line without its ROS arguments."""
     try:
         return list(remove_ros_args(list(arguments)))
     except RuntimeError as error:  # from rcl

@@ -120,9 +120,6 @@ class Calibration:
         Args:
             servo: cable servo.
             turns: turns of the spool from the first to the last reading.
-
-        Raises:
-            DriverError: The readings are inconsistent, the cable is blocked, or the servo does not answer.
         """
         self._say(
             f"cable servo {servo.number}: turn the spool manually until the cable is just taut,"
@@ -189,9 +186,6 @@ class Calibration:
 
         The context must end with the servo at its start (ticks). After a failure or a Ctrl-C, the servo first returns
         there, because a contracted body springs back. Only a Ctrl-C during this return releases the servo at once.
-
-        Raises:
-            ReleaseError: The servo does not return, and keeps its torque; or it does not confirm its release.
         """
         try:
             self._torque_on(servo)

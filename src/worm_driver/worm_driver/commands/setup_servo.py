@@ -32,12 +32,7 @@ class FoundServo:
 
 
 def find_only_servo(bus: ServoBus, say: Say) -> FoundServo:
-    """Return the only servo that answers at any baud rate, and leave the bus at its rate.
-
-    Raises:
-        ConfigurationError: No servo answers, or several do.
-        CorruptReplyError: Answers are garbled, as those of several servos with the same id are.
-    """
+    """Return the only servo that answers at any baud rate, and leave the bus at its rate."""
     found = []
     for rate in BAUD_RATES:
         bus.set_baud_rate(rate)
@@ -66,10 +61,6 @@ def set_up(bus: ServoBus, found: FoundServo, number: int, baud_rate: int, say: S
         number: its new id.
         baud_rate: its new baud rate, bit/s.
         say: prints a line.
-
-    Raises:
-        ConfigurationError: The servo has its torque on, or its model is not supported.
-        BusError: The servo does not answer, or a value was not stored.
     """
     model = servos.model_of(found.number, found.identity)
     servos.answer_all(bus, found.number, model)

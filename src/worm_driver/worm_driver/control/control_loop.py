@@ -186,9 +186,6 @@ class ControlLoop(PeriodicThread):
             timeout: longest wait for the result, s.
             undo: action that reverts this one.
             lifetime: see `submit`.
-
-        Raises:
-            DriverError: The action failed, its result did not arrive in time, or the thread has ended.
         """
         answer = self.submit(action, lifetime)
         timeout = max(timeout, self._clock.least_timeout)

@@ -150,22 +150,13 @@ class Robot:
     # --- commands: each between two calls of `cycle` -------------------------------------------
 
     def home(self) -> None:
-        """Define the present cable length as the initial length.
-
-        Raises:
-            HomingError: The torque is on, or a servo is too far from its encoder's zero or did not accept its new zero.
-            BusError: A servo does not answer.
-        """
+        """Define the present cable length as the initial length."""
         if self.active:
             raise HomingError("homing needs the torque off: deactivate the driver first")
         self.actuators.home()
 
     def reboot(self) -> tuple[int, ...]:
-        """Restart the servos that report a hardware error and return their ids.
-
-        Raises:
-            DriverError: The torque is on, or an exchange failed.
-        """
+        """Restart the servos that report a hardware error and return their ids."""
         if self.active:
             raise ConfigurationError("a reboot needs the torque off: deactivate the driver first")
         return self.actuators.reboot()
@@ -226,12 +217,7 @@ class Robot:
                 )
 
     def _measured_cables(self) -> Mapping[int, float]:
-        """Return the length change of each cable (m, by servo id), read until two consecutive readings agree.
-
-        Raises:
-            NoReplyError: No two consecutive readings agree.
-            BusError: A request cannot be sent.
-        """
+        """Return the length change of each cable (m, by servo id), read until two consecutive readings agree."""
         before: Mapping[int, float] = {}
         seen: dict[int, str] = {}
         for _ in range(_ATTEMPTS):
@@ -249,11 +235,7 @@ class Robot:
         )
 
     def start(self, now: float, gait: Gait, cycles: int) -> int:
-        """Begin a run and return its number.
-
-        Raises:
-            RejectedError: The gait is out of its limits, or no run may begin now.
-        """
+        """Begin a run and return its number."""
         if not self.active:
             raise RejectedError("the torque is off: activate the driver first")
         self._check_start()
@@ -295,9 +277,6 @@ class Robot:
 
         Returns:
             Message that says whether the robot holds.
-
-        Raises:
-            BusError: The goals cannot be sent.
         """
         if self.active:
             self._adopt(gait_player.stop(self.player, now, reason))
@@ -333,9 +312,6 @@ class Robot:
           emergency stop.
         - In HOLDING, while an emergency stop or another driver forbids motion, the robot stays where it is. The torque
           may be switched off only if the robot would not spring back.
-
-        Raises:
-            StoppedError: The robot holds and would spring back, and no motion may start, as in an emergency stop.
         """
         blocked = self._why_not_start() if self.player.phase is Phase.HOLDING else ""
         if self.active and blocked and self.actuators.contracted:

@@ -37,11 +37,7 @@ class GaitLimits:
         return max(1, min(self.max_cycles, math.floor(self.max_duration * gait.frequency)))
 
     def check(self, gait: Gait, cycles: int) -> None:
-        """Check a gait and its number of cycles.
-
-        Raises:
-            RejectedError: A value is outside its limits. The message contains the value.
-        """
+        """Check a gait and its number of cycles."""
         ranges = (
             ("stroke", self.min_stroke, self.max_stroke, " m", "limits.max_stroke_m"),
             ("frequency", self.min_frequency, self.max_frequency, " Hz", "limits.max_frequency_hz"),

@@ -72,10 +72,6 @@ def open_device(bus: str, address: int) -> I2CDevice:
     Args:
         bus: number ("1"), device ("/dev/i2c-1"), or Unix socket of a virtual robot.
         address: 7-bit address.
-
-    Raises:
-        PowerSensorError: The bus is missing, is not permitted, or cannot be opened for another reason. In the first two
-            cases the message contains the remedy.
     """
     try:
         return I2CDevice(_open_bus(bus), bus, address)

@@ -90,11 +90,7 @@ class INA219:
     _repeats: int = field(default=0, init=False)
 
     def start(self) -> None:
-        """Reset the chip, check its type, and set it up.
-
-        Raises:
-            PowerSensorError: The chip does not answer, is another chip, or loses its settings.
-        """
+        """Reset the chip, check its type, and set it up."""
         self.device.write(CONFIGURATION, RESET)
         configuration = self.device.read(CONFIGURATION)
         if configuration != POWER_ON_CONFIGURATION:
@@ -183,10 +179,6 @@ def calibration_for(shunt_resistance: float, max_current: float) -> int:
 
     Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768 and the resistance R of the shunt
     (SBOS448G). Bit 0 is always 0.
-
-    Raises:
-        ConfigurationError: An argument is not positive, or the current is too large for the range of +-320 mV or too
-            small for the register.
     """
     if not (shunt_resistance > 0.0 and max_current > 0.0):
         raise ConfigurationError("shunt_resistance_ohm and max_current_a must be positive")

@@ -35,11 +35,7 @@ def latency_timer_path(port: str, sysfs: Path = _SYSFS) -> Path:
 
 
 def require_latency(port: str, latency: float, period: float) -> None:
-    """Check that the latency of a port's adapter (s) leaves time for the answers of a control cycle (period in s).
-
-    Raises:
-        ConfigurationError: The latency is too long.
-    """
+    """Check that the latency of a port's adapter (s) leaves time for the answers of a control cycle (period in s)."""
     if _ANSWERS * latency >= period:
         raise ConfigurationError(
             f"the latency timer of {port} is {latency * 1e3:.0f} ms, too long for {1.0 / period:g} Hz: install the "

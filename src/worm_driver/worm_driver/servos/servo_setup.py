@@ -93,12 +93,7 @@ class Servo:
 
 
 def identify(bus: ServoBus, number: int) -> Servo:
-    """Ping a servo, make it answer all requests, and check the registers that need the same value in every robot.
-
-    Raises:
-        BusError: The servo does not answer.
-        ConfigurationError: The model is not supported, its firmware is too old, or a register has another value.
-    """
+    """Ping a servo, make it answer all requests, and check the registers that need the same value in every robot."""
     identity = bus.ping(number)
     model = model_of(number, identity)
     require_watchdog(number, model, identity.firmware)
@@ -328,13 +323,7 @@ def prepare_fin(bus: ServoBus, servo: Servo) -> None:
 
 
 def held_position(bus: ServoBus, servo: Servo) -> int | None:
-    """Return the position (ticks from home) of a cable servo that was left with its torque on; None if it is off.
-
-    Raises:
-        ConfigurationError: The torque is on, but the servo is not homed, or has another operating mode or drive mode
-            than a cable servo of this driver. The message names the registers.
-        BusError: The servo does not answer, or no two readings agree.
-    """
+    """Return the position (ticks from home) of a cable servo that was left with its torque on; None if it is off."""
     names = ("homing_offset", "operating_mode", "drive_mode", "led", "velocity_i_gain")
     values = registers(bus, servo, *names, "torque_enable", "present_position")
     if not values["torque_enable"]:
@@ -382,10 +371,6 @@ def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
 
     All home marks are cleared before any other write. They are set after the new zeros of all servos were read back. So
     a servo whose position 0 is not the home has no mark, also after a failure.
-
-    Raises:
-        HomingError: A servo is too far from its encoder's zero, or did not accept its new zero.
-        BusError: A servo does not answer.
     """
     for servo in cables:
         store(bus, servo, "led", 0)

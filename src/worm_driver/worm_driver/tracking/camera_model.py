@@ -70,11 +70,7 @@ class CameraInfoFile:
 
 
 def load_camera_info(path: Path) -> CameraModel:
-    """Read the camera from a YAML file in the format of ROS's camera_calibration.
-
-    Raises:
-        SetupError: The file is missing, or is not a calibration that the tracker supports.
-    """
+    """Read the camera from a YAML file in the format of ROS's camera_calibration."""
     if not path.exists():
         raise SetupError(
             f"{path}: No such file. Create it with calibrate_camera, or copy the camera's camera_info file there"

@@ -38,9 +38,6 @@ def locate(
 
     The image of the marker's centre is the intersection of the diagonals, also if the print is tilted. The returned
     position is that of the point of the line that is closest to the camera's ray through the marker's centre.
-
-    Raises:
-        HiddenError: The detection is implausible.
     """
     rays = vision.directions(camera, detection.corners)
     if not np.isfinite(rays).all():

@@ -45,9 +45,6 @@ def length_change_of_command(
         start: ΔL until ``engaged``, m.
         at: times of the result (m,), s, ascending; by default ``times``.
         engaged: time from which ΔL responds, s; by default the first time.
-
-    Raises:
-        ValueError: The shapes differ, or there is no sample.
     """
     time = np.ascontiguousarray(times, dtype=float)
     command = np.ascontiguousarray(commands, dtype=float)

@@ -226,11 +226,7 @@ class Trajectory:
         return self.cycles / self.gait.frequency
 
     def at(self, times: ArrayLike) -> Motions:
-        """Return dense output at ``times`` (n,) in s.
-
-        Raises:
-            ValueError: The times do not ascend, or lie outside of the run.
-        """
+        """Return dense output at ``times`` (n,) in s."""
         records = self._run(_records(_ascending(times, 0.0, self.duration)))
         return _motions(records.samples, self.parameters)
 
@@ -407,10 +403,6 @@ class Locomotion:
         ``times`` (n,) in s ascend from the time of the state on; ``length_changes`` (n,) are in m. Without samples, the
         state stays as it is, and the output is empty. The power of the output uses the slopes of the lines; for noisy
         samples see `worm_model.simulation.smoothing`. The energy does not include the cable work (see `Motions`).
-
-        Raises:
-            ValueError: A sample is not finite, the times do not ascend, or the numbers of times and lengths differ.
-            SimulationError: A fin chatters.
         """
         time = np.atleast_1d(np.asarray(times, dtype=float))
         if not time.size and not np.size(length_changes):
@@ -434,11 +426,6 @@ class Locomotion:
             coefficients: coefficients of each piece (4, n), constant term first (m, m/s, …), for the time since the
                 break at which the piece begins.
             times: times of the output (m,), s, ascending within the breaks.
-
-        Raises:
-            ValueError: There is no piece, a break or a coefficient is not finite, or the times do not ascend within the
-                breaks.
-            SimulationError: A fin chatters.
         """
         knots = np.ascontiguousarray(breaks, dtype=float)
         forms = np.ascontiguousarray(coefficients, dtype=float)

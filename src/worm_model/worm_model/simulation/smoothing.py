@@ -65,9 +65,6 @@ def smooth(
         at: times of the result (m,), s; by default ``times``.
         before: part of the window before t, s.
         after: part of the window after t, s. With 0 the filter is causal.
-
-    Raises:
-        ValueError: The times do not ascend, or their number differs from that of the values.
     """
     time, value = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
     target = time if at is None else np.atleast_1d(np.asarray(at, dtype=float))

@@ -118,9 +118,6 @@ def compare(gait: RecordedGait, prediction: Prediction) -> dict[str, dict[str, f
     """Return speed (m/s), power (W) and cost of transport by source: ``measured``, ``twin``, ``predicted``, ``robust``.
 
     ``predicted`` and ``robust`` are the optimizer's predictions before the run, without and with the margin.
-
-    Raises:
-        RecordingError: The gait ended early, its recording is incomplete, or the twin did not follow it.
     """
     for problem in (gait.early_end, *gait.missing):
         if problem:

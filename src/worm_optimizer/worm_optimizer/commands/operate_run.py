@@ -154,13 +154,7 @@ def requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog)
 
 
 def attended(node: OperatorNode, command: GaitCommand, say: ProgressLog) -> RunResult:
-    """Run a gait to its end. Ctrl-C stops it at the next point of rest; a second Ctrl-C holds immediately.
-
-    Raises:
-        InputError: The driver rejects the gait, although it is ready for a run.
-        RejectedStartError: The driver rejects the gait in its present state.
-        OperatorError: The driver does not answer.
-    """
+    """Run a gait to its end. Ctrl-C stops it at the next point of rest; a second Ctrl-C holds immediately."""
     progress = once_per_cycle(say)
     with counted_interrupts() as interrupts, node.started(command) as run:
         if not node.follow(run, progress, lambda: interrupts() > 0):

@@ -56,10 +56,6 @@ def read_front(node: OperatorNode, direction: int, initial_length: float) -> Fro
         node: the operator.
         direction: FORWARD or REVERSE.
         initial_length: length of the robot at rest, m; 0 for the length in the optimizer's parameters.
-
-    Raises:
-        OperatorError: There is no optimizer, or it does not answer or has no front.
-        InputError: It rejects a request.
     """
 
     def request(objective: Objective, value: float = 0.0) -> Prediction:
@@ -114,11 +110,6 @@ def run(
         cancellation: returns the reason why the run must end; empty if it may continue. As long as there is a reason,
             no heartbeats are sent, and the robot comes to rest.
         report: called with each line of progress.
-
-    Raises:
-        OperatorError: The gait did not start, failed or was cancelled, or a node does not answer. A run that STOP ended
-            raises no error. A rejected gait leaves no bag.
-        InputError: The bag cannot be created.
     """
     bag, conditions = new_bag(folder), node.conditions()
     recorder = recorder_of(node.get_namespace(), bag, parameter_file, conditions)

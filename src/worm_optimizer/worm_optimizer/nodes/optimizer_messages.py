@@ -55,9 +55,6 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
     Seed and margin are always those of the goal. If the goal contains no margin (NaN, and a force of 0), the last
     margin of the scan before the cliff is used. If the waveform, the robustness or the probability of the goal is empty
     or 0, the value in ``base`` applies.
-
-    Raises:
-        InputError: A value is inadmissible.
     """
     return dataclasses.replace(
         base,

@@ -80,9 +80,6 @@ class RobotClient(Node):
             name: name of the service.
             request: the request.
             attempts: largest number of calls; 1 for a request that must not be executed twice.
-
-        Raises:
-            OperatorError: No server or no answer appeared in time.
         """
         client = self.named_client(kind, name)
         if not self.wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):

@@ -30,11 +30,7 @@ class ProcessError(RuntimeError):
 
 
 def executable_command(package: str, executable: str) -> list[str]:
-    """Return the command line of an executable of a package. It is located in the same way as by `ros2 run`.
-
-    Raises:
-        ProcessError: The package or the executable is not installed.
-    """
+    """Return the command line of an executable of a package. It is located in the same way as by `ros2 run`."""
     try:
         prefix = Path(get_package_prefix(package))
     except PackageNotFoundError:
@@ -112,11 +108,7 @@ class Process:
         return lines[-1] if lines else "(no output)"
 
     def wait_for_line(self, pattern: str, timeout_s: float) -> re.Match[str]:
-        """Wait until a line of the output matches a regular expression, and return the match.
-
-        Raises:
-            ProcessError: The process ended, or the timeout (s) elapsed, without a matching line.
-        """
+        """Wait until a line of the output matches a regular expression, and return the match."""
         expression = re.compile(pattern, re.MULTILINE)
         wait_for(
             lambda: bool(expression.search(self.output())) or self.exit_code is not None, timeout_s

@@ -148,9 +148,6 @@ class SystemFile:
             mode: one of MODES.
             namespace: namespace without the first slash, such as ``robots/worm``; empty: that of the file.
             settings: settings that differ from their defaults.
-
-        Raises:
-            InputError: A setting is unknown, or a number is malformed.
         """
         namespace = namespace or self.namespace
         unknown = sorted(set(settings) - set(self.settings))
@@ -257,12 +254,7 @@ class Robot:
 
     @property
     def conditions(self) -> Conditions:
-        """Conditions in the pipe according to the settings, by default those of level ground.
-
-        Raises:
-            InputError: A setting is not a finite number.
-            ConditionsError: The conditions are not admissible.
-        """
+        """Conditions in the pipe according to the settings, by default those of level ground."""
         names = [name for name in CONDITION_ROWS if self.settings.get(name)]
         return Conditions(**{name: _number(name, self.settings[name]) for name in names})
 

@@ -79,11 +79,6 @@ def complete(
         workers: workers to use.
         say: function that is called with each message.
         progress: function that is called with the finished share of the pieces, 0 to 1.
-
-    Raises:
-        InputError: The cluster cannot be used, or a worker has another version.
-        LostError: The connection to the scheduler is lost, several workers died while computing the same block, or a
-            block cannot be written.
     """
     folder.mkdir(exist_ok=True)
     files = [folder / f"{_name(identity, piece)}.block" for piece in pieces]

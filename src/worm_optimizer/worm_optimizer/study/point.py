@@ -158,10 +158,6 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
     Args:
         study: study.
         values: values of the varied quantities, by the names of `Study.varied`.
-
-    Raises:
-        InputError: The point is not admissible.
-        SimulationError: The simulator failed at the point.
     """
     file, given = study.file, {**study.file.fixed, **values}
     content = content_of(study, given)

@@ -150,11 +150,7 @@ def make_fault(
 
 
 def parse_fault(text: str) -> Fault:
-    """Return the fault of a text ``NAME[:KEY=VALUE,…][@SECONDS]`` with keys target, duration, count, value.
-
-    Raises:
-        FaultError: The text is invalid.
-    """
+    """Return the fault of a text ``NAME[:KEY=VALUE,…][@SECONDS]`` with keys target, duration, count, value."""
     head, _, start = text.partition("@")
     name, _, options = head.partition(":")
     numbers: dict[str, float] = {}

@@ -78,11 +78,7 @@ class ColumnBuilder:
         self._texts: dict[str, list[tuple[Integers, list[str]]]] = {}
 
     def add(self, messages: Messages) -> None:
-        """Append messages, each decoded with the definition of its own channel.
-
-        Raises:
-            BagError: A message cannot be decoded, or its length contradicts its definition.
-        """
+        """Append messages, each decoded with the definition of its own channel."""
         for index in np.unique(messages.channel).tolist():
             topic, rows = messages.channels[index], np.flatnonzero(messages.channel == index)
             try:

@@ -81,9 +81,6 @@ def installed_definition(type_name: str) -> str:
 
     Args:
         type_name: ``package/msg/Type``.
-
-    Raises:
-        DefinitionError: The name is not the name of a message type, or a definition is missing.
     """
     package, _, kind = type_name.partition("/msg/")
     if not (package and kind) or "/" in package + kind:
@@ -122,9 +119,6 @@ def topic_of(name: str, type_name: str, offered_qos: str = "") -> Topic:
     Args:
         name, type_name: full name of the topic and its type.
         offered_qos: quality of service of the publishers, YAML.
-
-    Raises:
-        DefinitionError: The type is not installed.
     """
     definition = installed_definition(type_name)
     metadata = (

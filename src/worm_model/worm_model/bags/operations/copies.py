@@ -76,9 +76,6 @@ def write_part(bag: Bag, output: Path, first: int, last: int, topics: Collection
 
     The last message of each latched topic before the span is included, because a subscriber that joins at the start
     of the span would receive it. Its log time is set to the start of the span.
-
-    Raises:
-        BagError: The bag lacks a topic, the span contains no message of the topics, or the output exists.
     """
     channels = [channel for channel in bag.channels if channel.name in topics]
     return write_copy(bag, output, [_within(bag, first, last, topics)], channels)

@@ -114,10 +114,6 @@ def recorded_robot(bag: Bag, parameter_file: str = "") -> ParameterFile:
     Args:
         bag: an open bag.
         parameter_file: a parameter file; empty: the file inside the bag, or the paper's values without such a file.
-
-    Raises:
-        ManifestError: see `recorded_parameters` and `recorded_conditions`.
-        ParameterError: The file is invalid, or a load is outside of its range.
     """
     if parameter_file:
         content = load_parameter_file(parameter_file)

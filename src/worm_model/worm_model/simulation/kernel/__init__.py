@@ -30,9 +30,6 @@ def cache_directory(more: Sequence[Path] = ()) -> Path:
 
     The folder is below NUMBA_CACHE_DIR or, without this variable, below the user's cache. If no folder can be written
     there, it is below the temporary directory.
-
-    Raises:
-        OSError: The temporary directory cannot be written, either.
     """
     digest = hashlib.sha256()
     for source in (Path(__file__), *SOURCES, *more):
