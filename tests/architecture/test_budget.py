@@ -46,10 +46,10 @@ def words(file: Path) -> int:
 
 # what is counted, files, function, most
 BUDGET = (
-    ("lines of code in src", "src/**/*.py", code_lines, 42_730),
-    ("all lines in src", "src/**/*.py", lines, 63_520),
-    ("modules in src", "src/**/*.py", lambda _: 1, 371),
-    ("lines in tests", "tests/**/*.py", lines, 35_925),
+    ("lines of code in src", "src/**/*.py", code_lines, 38_000),
+    ("all lines in src", "src/**/*.py", lines, 56_500),
+    ("modules in src", "src/**/*.py", lambda _: 1, 380),
+    ("lines in tests", "tests/**/*.py", lines, 31_000),
     ("words in docs", "docs/*.md", words, 27_000),
     ("words in README.md", "README.md", words, 1_100),
     ("words in CHANGELOG.md", "CHANGELOG.md", words, 800),

@@ -16,12 +16,7 @@ class SettingsFileError(InputError):
 
 
 def read_yaml(path: Path, error: type[Exception] = SettingsFileError) -> Any:
-    """Return the content of a YAML file. Duplicate keys are rejected.
-
-    Raises:
-        error: The file is unreadable or is not valid YAML, or a mapping has two equal keys. The message begins with the
-            path.
-    """
+    """Return the content of a YAML file. Duplicate keys are rejected."""
     try:
         return parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as problem:

@@ -25,9 +25,6 @@ class GaitCommand:
         cycles: number of cycles.
         grooves: number of grooves along the gait's direction.
         distance: distance along the gait's direction, m.
-
-    Raises:
-        InputError: A value is inadmissible, or no end is given.
     """
 
     gait: Gait

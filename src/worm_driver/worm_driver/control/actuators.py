@@ -60,12 +60,7 @@ def fault_level(servo: Servo, limits: DriverFile) -> float:
 
 
 def require_registers(bus: ServoBus, servo: Servo, settings: DriverSettings) -> None:
-    """Check that the registers of a servo which the driver does not write permit the settings.
-
-    Raises:
-        ConfigurationError: A register has an unsuitable value.
-        BusError: The servo does not answer.
-    """
+    """Check that the registers of a servo which the driver does not write permit the settings."""
     for spool in settings.spools:
         if spool.servo == servo.number:
             speed = settings.max_cable_speed / spool.radius
@@ -130,11 +125,6 @@ class Actuators:
         left_on: message about a torque that was left on; empty if there is none.
         sprung_back: message about the last release, if it made the robot spring back; otherwise empty.
         track: plausible positions of the servos.
-
-    Raises:
-        BusError: A servo does not answer.
-        ConfigurationError: A servo does not match the settings.
-        HomingError: The settings require homing at the start, and homing failed.
     """
 
     def __init__(self, settings: DriverSettings, bus: ServoBus):
@@ -233,9 +223,6 @@ class Actuators:
 
         Returns:
             Length change of the cable that is farthest from rest, m.
-
-        Raises:
-            DriverError: A servo cannot be enabled.
         """
         settings = self.settings
         self._longest_stroke = settings.max_stroke

@@ -138,9 +138,6 @@ class Tracker:
 
     Args:
         setup: setup of the tracker.
-
-    Raises:
-        SetupError: The calibration file is missing or invalid.
     """
 
     def __init__(self, setup: TrackerSetup):

@@ -238,7 +238,7 @@ class GaitPage:
         try:
             stated = Conditions(**{n: f.value or 0.0 for n, f in self._conditions.items()})
         except InputError as error:
-            self._condition_text.set_text(str(error))
+            self._condition_text.set_text(_in_words_of_the_page(str(error)))
             return
 
         def apply(node: OperatorNode) -> str:
@@ -307,3 +307,10 @@ def _value(field: ui.number) -> float:
 def _condition_title(name: str) -> str:
     row = CONDITION_ROWS[name]
     return f"{row['option'].strip('-').replace('-', ' ')}, {row['unit']}"
+
+
+def _in_words_of_the_page(text: str) -> str:
+    """Return a message about conditions with the titles of the fields instead of their names."""
+    for name in sorted(CONDITION_ROWS, key=len, reverse=True):
+        text = text.replace(name, _condition_title(name).split(",")[0])
+    return text

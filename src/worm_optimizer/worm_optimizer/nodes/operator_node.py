@@ -340,12 +340,7 @@ class OperatorNode(RobotClient):
         return prediction, response.message
 
     def set_model_parameters(self, values: Mapping[str, float]) -> None:
-        """Set parameters of twin and optimizer, such as the conditions in the pipe; a node sets all of them or none.
-
-        Raises:
-            OperatorError: A node rejects a value or does not answer. The message states whether the twin has accepted
-                the values.
-        """
+        """Set parameters of twin and optimizer, such as the conditions in the pipe; a node sets all of them or none."""
         parameters = [Parameter(n, value=float(v)).to_parameter_msg() for n, v in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
         for node, accepted in ((TWIN, ""), (OPTIMIZER, "only the twin uses the new parameters: ")):

@@ -144,10 +144,6 @@ def new_bag(directory: Path) -> Iterator[BagWriter]:
 
     Args:
         directory: the bag, which must not exist.
-
-    Raises:
-        BagError: The directory exists.
-        UnwritableError: The operating system cannot create or write the directory.
     """
     try:
         with new_folder(directory) as unfinished:
