@@ -179,9 +179,6 @@ def run_node(parser: argparse.ArgumentParser, module: ModuleType, command_line: 
 
     Returns:
         Exit status.
-
-    Raises:
-        SystemExit: The command line contains an unknown argument, or `ros_process` raises it.
     """
     rejected: tuple[type[Exception], ...] = (ParameterRejectedError, *module.REJECTIONS)
     parser.parse_args(own_arguments(command_line)[1:])

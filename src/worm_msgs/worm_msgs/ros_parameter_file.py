@@ -33,9 +33,6 @@ def read_sections(path: str | Path) -> list[Section]:
     """Return the sections of a file in order: name of the nodes with its wildcards, and parameters by dotted name.
 
     A later parameter replaces an earlier one, also that of an earlier section for the same node.
-
-    Raises:
-        SettingsFileError: The file is unreadable or is not YAML. The message begins with the path.
     """
     try:
         with Path(path).open("rb") as stream:

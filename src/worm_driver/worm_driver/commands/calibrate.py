@@ -87,16 +87,23 @@ class Calibration:
 
     def find_servos(self) -> list[Servo]:
         """Return all servos that answer and have a supported model. Print the ids of servos with other models."""
-        found = []
-        with self._bus.retrying():
-            for number, identity in self._bus.scan().items():
-                if identity.model_number in MODELS:
-                    found.append(servos.identify(self._bus, number))
-                else:
-                    self._say(
-                        f"servo {number}: model number {identity.model_number} is not supported; the servo is excluded"
-                    )
-        return found
+        answering = []
+        for number in range(253):
+            try:
+                model = self._bus.ping(number).model_number
+            except NoReplyError:
+                continue
+            except CorruptReplyError as error:
+                self._say(f"servo {number} is excluded: {error}")
+                continue
+            if model in MODELS:
+                with self._bus.retrying():
+                    answering.append(servos.identify(self._bus, number))
+            else:
+                self._say(
+                    f"servo {number}: model number {model} is not supported; the servo is excluded"
+                )
+        return answering
 
     def role(self, servo: Servo) -> str:
         """Ask the operator for the role of a servo, with its LED lit. Return c (cable), f (fin) or n (none).

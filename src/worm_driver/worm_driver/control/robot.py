@@ -89,11 +89,6 @@ class Robot:
         player: state of the gait player.
         active: True while the torque is on.
         closing: True while the driver shuts down. No run can then begin.
-
-    Raises:
-        BusError: A servo does not answer.
-        ConfigurationError: A servo does not match the settings.
-        HomingError: The settings require homing at the start, and homing failed.
     """
 
     def __init__(

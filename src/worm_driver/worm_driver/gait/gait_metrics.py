@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
 from worm_driver.gait.gait_player import PlayedRun
 from worm_driver.power.ina219 import PowerSample, SampleStatus, reversed_current
 from worm_msgs.robot_parameters import STANDARD_GRAVITY, RobotParameters
@@ -22,6 +24,12 @@ IDLE_SAMPLES = 10
 
 #: s, longest gap between two tracker samples for linear interpolation (two lost samples at 30 Hz)
 _TRACKER_GAP = 0.12
+#: s, longest gap between two tracker samples that is bridged by a cubic, see `RunRecord.position_at`
+_LONGEST_BRIDGE = 0.5
+#: s, duration of the span before a gap, and of the span after it, to whose samples the cubic is fitted
+_BRIDGE_SIDE = 0.25
+#: smallest number of samples in each of the two spans
+_LEAST_SAMPLES = 4
 #: s, longest time without a valid power sample within the averaged cycles
 _POWER_GAP = 0.25
 
@@ -38,16 +46,37 @@ class RunRecord:
     positions: list[tuple[float, float]] = field(default_factory=list)
     power: list[PowerSample] = field(default_factory=list)
 
-    def position_at(self, time: float) -> float:
-        """Return x1 (m) at a time (s), interpolated between neighbouring samples at most 0.12 s apart; else NaN."""
+    def position_at(self, time: float) -> tuple[float, float]:
+        """Return x1 (m) at a time (s), and the duration (s) of the tracker's gap that contains this time.
+
+        x1 is interpolated linearly between neighbouring samples at most 0.12 s apart; the duration is then 0. A longer
+        gap of at most 0.5 s is bridged by a cubic, because x1 is curved at the start of a cycle. The cubic is fitted to
+        the samples of 0.25 s on either side of the gap. x1 is NaN in a gap of more than 0.5 s, and in a gap with fewer
+        than 4 such samples on a side. Before the first sample and after the last one, x1 is NaN and the duration is
+        infinite.
+        """
         after = bisect_left(self.positions, (time, -math.inf))
         if after == len(self.positions):
-            return math.nan
+            return math.nan, math.inf
         t1, x1 = self.positions[after]
         if t1 == time:
-            return x1
-        t0, x0 = self.positions[after - 1] if after else (-math.inf, math.nan)
-        return math.nan if t1 - t0 > _TRACKER_GAP else x0 + (x1 - x0) * (time - t0) / (t1 - t0)
+            return x1, 0.0
+        if after == 0:
+            return math.nan, math.inf
+        t0, x0 = self.positions[after - 1]
+        if t1 - t0 <= _TRACKER_GAP:
+            return x0 + (x1 - x0) * (time - t0) / (t1 - t0), 0.0
+        return self._bridged(time, t0, t1), t1 - t0
+
+    def _bridged(self, time: float, last: float, first: float) -> float:
+        sides = (
+            [(t, x) for t, x in self.positions if last - _BRIDGE_SIDE <= t <= last],
+            [(t, x) for t, x in self.positions if first <= t <= first + _BRIDGE_SIDE],
+        )
+        if first - last > _LONGEST_BRIDGE or min(map(len, sides)) < _LEAST_SAMPLES:
+            return math.nan
+        times, positions = zip(*(sides[0] + sides[1]), strict=True)
+        return float(np.polyfit(np.subtract(times, time), positions, 3)[-1])
 
     def latest_power(self) -> float:
         """Return the power of the latest valid sample, W; NaN without one."""
@@ -69,7 +98,7 @@ class RunMetrics:
         power: mean source power, W.
         cost_of_transport: power divided by the product of weight and absolute speed, without unit.
         idle_power: mean source power at rest before the onset, W.
-        reasons: why metrics are missing, at most one sentence for each. There is none for the distance,
+        reasons: why metrics are missing or less certain, at most one sentence for each. There is none for the distance,
             nor for a cost of transport that is missing because power or speed is missing.
     """
 
@@ -104,7 +133,7 @@ def run_metrics(run: PlayedRun, record: RunRecord, body: RobotParameters) -> Run
         power, power_reason = math.nan, ""
     cost, cost_reason = _cost_of_transport(power, speed, body)
     reasons = _given(speed_reason, power_reason, cost_reason, idle_reason)
-    travelled = run.gait.direction * (record.position_at(end) - record.position_at(run.onset))
+    travelled = run.gait.direction * (record.position_at(end)[0] - record.position_at(run.onset)[0])
     return RunMetrics(completed, averaged, travelled, speed, power, cost, idle_power, reasons)
 
 
@@ -115,7 +144,7 @@ def distance(run: PlayedRun, record: RunRecord) -> float:
     """
     if run.onset is None or not record.positions:
         return math.nan
-    return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset))
+    return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset)[0])
 
 
 def _given(*reasons: str) -> tuple[str, ...]:
@@ -125,21 +154,29 @@ def _given(*reasons: str) -> tuple[str, ...]:
 def _speed(run: PlayedRun, record: RunRecord, start: float, end: float) -> tuple[float, str]:
     if not record.positions:
         return math.nan, "no speed: no samples arrived on the topic tracker"
-    first, last = record.position_at(start), record.position_at(end)
+    (first, first_gap), (last, last_gap) = record.position_at(start), record.position_at(end)
+    gap = max(first_gap, last_gap)
+    if math.isinf(gap):
+        return math.nan, _not_covered(record.positions, start, end)
     if math.isnan(last - first):
-        return math.nan, _not_seen(record.positions, start, end)
-    return run.gait.direction * (last - first) / (end - start), ""
+        where = f"the start or the end of the averaged cycles ({gap:.2f} s)"
+        return math.nan, f"no speed: the tracker did not see the robot at {where}"
+    note = (
+        f"speed is less certain: x1 is interpolated over a gap of the tracker of {gap:.2f} s"
+        if gap
+        else ""
+    )
+    return run.gait.direction * (last - first) / (end - start), note
 
 
-def _not_seen(positions: Sequence[tuple[float, float]], start: float, end: float) -> str:
-    """Return why there is no speed if x1 is unknown at a start or at an end (s)."""
+def _not_covered(positions: Sequence[tuple[float, float]], start: float, end: float) -> str:
+    """Return why there is no speed if the tracker samples do not extend from a start to an end (s)."""
     causes = []
     if (late := positions[0][0] - start) > 0.0:
         causes.append(f"first saw the robot {late:.3f} s after the start of the averaged cycles")
     if (early := end - positions[-1][0]) > 0.0:
         causes.append(f"last saw the robot {early:.3f} s before the end of the averaged cycles")
-    gap = "did not see the robot at the start or the end of the averaged cycles"
-    return f"no speed: the tracker {' and '.join(causes) or gap}"
+    return f"no speed: the tracker {' and '.join(causes)}"
 
 
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:

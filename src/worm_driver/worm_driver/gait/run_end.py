@@ -84,7 +84,7 @@ def makes_no_progress(run: PlayedRun, record: RunRecord, pitch: float) -> bool:
     newest, before = record.positions[-1], _CYCLES_WITHOUT_PROGRESS / run.gait.frequency
     if run.onset is None or newest[0] - before < run.onset:
         return False
-    gained = run.gait.direction * (newest[1] - record.position_at(newest[0] - before))
+    gained = run.gait.direction * (newest[1] - record.position_at(newest[0] - before)[0])
     return gained < pitch / 2.0
 
 

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Action server whose waiting goals a stop rejects. It answers every goal of a burst."""
+"""Action server that answers every goal of a burst. A stop rejects all waiting goals."""
 
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 
-from worm_driver.driver_errors import DriverError
+from worm_driver.driver_errors import DriverError, RejectedError
 
+#: largest number of goals that are handled of those that arrive at once; the others are rejected
+QUEUE = 4
 #: The middleware drops no request, however many wait.
 _EVERY_REQUEST = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 #: s, time for which the result of a goal is stored. It is short, because a client requests the result as soon as its
@@ -19,7 +23,7 @@ _RESULT_STORED = 60
 
 
 class GoalServer(ActionServer):
-    """Action server in the node's executor.
+    """Action server in the node's executor that handles all waiting goals at once.
 
     ``begin`` is called before a goal is answered. The goal is accepted if ``begin`` returns, and rejected if it raises
     DriverError. ``execute`` runs after the acceptance.
@@ -49,8 +53,9 @@ class GoalServer(ActionServer):
     ):
         self.stops = 0
         self._begin, self._rejected = begin, rejected
-        # Id of the present goal, and the number of stops before it was taken from the middleware.
-        self._goal_id, self._stops_before = b"", 0
+        # Id of the present goal, its place in the queue, and the number of stops before it arrived.
+        self._goal_id, self._place, self._stops_before = b"", 0, 0
+        self._is_goal_request_ready = False
         super().__init__(
             node,
             action,
@@ -69,31 +74,46 @@ class GoalServer(ActionServer):
 
         ``begin`` must reject the goals that were taken before: their number of stops is smaller than `stops`.
         """
-        kind, waiting = self._action_type.Impl.SendGoalService, []
         with self._lock:
             self.stops += 1
-            while all(taken := self._handle.take_goal_request(kind.Request)):
-                waiting.append(taken)
+            waiting = self._take_goals()
         for header, request in waiting:
-            self._handle.send_goal_response(header, kind.Response())
+            response = self._action_type.Impl.SendGoalService.Response()
+            with suppress(rclpy_implementation.RCLError):  # The client may have gone away.
+                self._handle.send_goal_response(header, response)
             self._rejected(
                 bytes(request.goal_id.uuid), "a stop followed this goal: send the goal again"
             )
 
     def take_data(self) -> dict[str, Any]:
-        """Take requests from the middleware (see rclpy), with the number of stops before."""
-        stops = self.stops
-        return {"stops": stops, **super().take_data()}
+        """Return all waiting goals instead of the first one (see rclpy)."""
+        are_ready: bool = self._is_goal_request_ready
+        self._is_goal_request_ready = False
+        data: dict[str, Any] = super().take_data()
+        with self._lock:
+            data["goals"] = self._take_goals() if are_ready else []
+            data["stops"] = self.stops
+        return data
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
         """Answer the requests (see rclpy)."""
         self._stops_before = taken_data.pop("stops")
-        if "goal" in taken_data:
-            self._goal_id = bytes(taken_data["goal"][1].goal_id.uuid)
+        for self._place, goal in enumerate(taken_data.pop("goals")):
+            self._goal_id = bytes(goal[1].goal_id.uuid)
+            await self._execute_goal_request(goal)
         await super().execute(taken_data)
+
+    def _take_goals(self) -> list[tuple[Any, Any]]:
+        """Take all waiting goal requests from the middleware and return them, unanswered. The caller holds the lock."""
+        kind, goals = self._action_type.Impl.SendGoalService.Request, []
+        while all(taken := self._handle.take_goal_request(kind)):
+            goals.append(taken)
+        return goals
 
     def _on_goal(self, request: Any) -> GoalResponse:
         try:
+            if self._place >= QUEUE:
+                raise RejectedError(f"more than {QUEUE} goals arrived at once: send this one later")
             self._begin(self._goal_id, request, self._stops_before)
         except DriverError as error:
             self._rejected(self._goal_id, str(error))

@@ -184,6 +184,8 @@ class RunGaitAction:
         if current.end.is_reached(run, current.record, current.body.pitch):
             current.end_requested = True
             hardware.loop.submit(hardware.robot.finish, lifetime=math.inf)
+        elif math.isnan(distance(run, current.record)):
+            self._end_early(current, "ended, as the tracker did not see the robot at the onset")
         elif makes_no_progress(run, current.record, current.body.pitch):
             self._end_early(current, "ended, as the robot gains no groove with this gait")
 

@@ -220,9 +220,6 @@ class Bag:
 
         Args:
             topics: names of the topics to read; None: all.
-
-        Raises:
-            BagError: A topic does not exist, or a file is damaged.
         """
         for block in self.blocks(topics):
             yield from block

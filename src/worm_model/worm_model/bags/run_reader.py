@@ -52,10 +52,6 @@ def read_parts(bag: Bag, namespace: str, names: Sequence[str]) -> list[Run]:
         bag: an open bag.
         namespace: namespace of the robot; empty: the only one in the bag.
         names: topics to read, from RUN_TOPICS.
-
-    Raises:
-        BagError: The bag has several robots or none of the topics, its data cannot be decoded, runs of gaits overlap,
-            or the joints change within the bag.
     """
     topic_of = {name: find_topic(bag.channels, name, namespace) for name in names}
     topics = {name: topic for name, topic in topic_of.items() if topic is not None}

@@ -371,9 +371,6 @@ class OperatorNode(RobotClient):
 
         This operator sends heartbeats while its node spins. Before each heartbeat it calls ``wanted``. If ``wanted``
         returns False, no heartbeat is sent. Without heartbeats, the robot comes to rest.
-
-        Raises:
-            OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         self.require_sole_driver()
         run = GaitRun(self, self._heartbeat, command, wanted)
@@ -399,9 +396,6 @@ class OperatorNode(RobotClient):
             run: the run.
             progress: called with each new feedback.
             until: the condition.
-
-        Raises:
-            OperatorError: No feedback arrived for `SILENCE_S`.
         """
         last = None
         while not run.done and not until():

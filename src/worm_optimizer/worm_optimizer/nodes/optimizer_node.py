@@ -66,9 +66,6 @@ class OptimizerNode(Node):
 
     Args:
         ended: request to end the process, which also ends a running computation.
-
-    Raises:
-        InputError, OSError: A parameter of the node is invalid.
     """
 
     def __init__(self, ended: ShutdownRequest) -> None:

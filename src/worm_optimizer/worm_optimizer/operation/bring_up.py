@@ -103,11 +103,7 @@ class Session:
         self.node.activate()
 
     def run_gait(self, command: GaitCommand) -> RunResult:
-        """Run a gait. If it fails, report the reason and run it once more, from rest.
-
-        Raises:
-            OperatorError: The gait failed twice, or a node did not answer.
-        """
+        """Run a gait. If it fails, report the reason and run it once more, from rest."""
         try:
             return self.node.run(command, once_per_cycle(self.say))
         except GaitFailedError as error:

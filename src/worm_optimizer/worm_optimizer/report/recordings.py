@@ -85,12 +85,6 @@ def read_recorded_gaits(
         parameters: parameter file. An empty string selects the parameters in the bag, or the paper's values for a bag
             without parameters.
         notify: function that is called with each remark on the recordings.
-
-    Raises:
-        BagError: A bag cannot be read.
-        ParameterError: The parameter file is invalid.
-        RecordingError: A bag contains no gait.
-        InputError: The parameters of two bags differ in `one_sided_cable`, so that their powers are not comparable.
     """
     gaits: list[RecordedGait] = []
     for path in paths:

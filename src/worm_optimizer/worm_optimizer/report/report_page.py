@@ -77,11 +77,7 @@ class _Pictures:
 
 
 def build_report(report: Report, folder: Path) -> Path:
-    """Write a report into a new folder and return the path of its page.
-
-    Raises:
-        FileExistsError: The folder exists already.
-    """
+    """Write a report into a new folder and return the path of its page."""
     folder.mkdir(parents=True)
     pictures = _Pictures(folder / "figures")
     environment = Environment(

@@ -386,12 +386,7 @@ def predicted_gaits(
 
 
 def given_gait(gait: Gait, content: ParameterFile, settings: Settings) -> tuple[Prediction, str]:
-    """Predict a gait with its own margin, under the conditions of the settings; return warnings as text, too.
-
-    Raises:
-        GaitError: Stroke plus pretension is not below the body length.
-        SimulationError: The gait cannot be simulated.
-    """
+    """Predict a gait with its own margin, under the conditions of the settings; return warnings as text, too."""
     parameters = content_under(settings.conditions, content).parameters
     evaluate_gait(gait, parameters)
     prediction = predicted_gaits({"given": gait}, content, settings)["given"]

@@ -35,6 +35,15 @@ def test_the_common_registers_are_the_manuals():
 
 
 @pytest.mark.parametrize("model", MODEL_LIST, ids=lambda model: model.name)
+def test_the_registers_of_current_and_load_are_the_manuals(model):
+    rows = (row for name, row in model.registers.items() if name not in COMMON)
+    currents = {"current_limit 38 2", "goal_current 102 2s", "present_current 126 2s"}
+    assert {f"{r.name} {r.address} {r.size}{'s' * r.signed}" for r in rows} == (
+        currents if model.measures_current else {"present_load 126 2s"}
+    )
+
+
+@pytest.mark.parametrize("model", MODEL_LIST, ids=lambda model: model.name)
 def test_a_table_has_no_overlaps_and_no_gap_in_the_state(model):
     rows = sorted(model.registers.values(), key=lambda row: row.address)
     for before, after in itertools.pairwise(rows):

@@ -40,10 +40,6 @@ class BagRecorder(BagWriter):
     Args:
         directory: the bag, a directory that must not exist.
         manifest: data of the run.
-
-    Raises:
-        ExistsError: The directory exists.
-        OSError: The directory cannot be created or written.
     """
 
     def __init__(self, directory: Path, manifest: Manifest) -> None:

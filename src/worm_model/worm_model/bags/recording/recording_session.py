@@ -29,11 +29,6 @@ class RecordingSession:
         bags: the bags that were begun.
         messages, bytes: number and payload (bytes) of the messages in them.
         error: error that ended the writing of the bag early, or None.
-
-    Raises:
-        BagError: In the constructor and `snapshot`, if the new bag exists. In `snapshot`, if there is no ring buffer or
-            no new message.
-        OSError: In the constructor and `snapshot`, if the new bag cannot be created or written.
     """
 
     def __init__(self, output: Path, manifest: Callable[[], Manifest], ring_s: float = 0.0) -> None:
