@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from worm_model.errors import InputError
-from worm_model.gait import Gait
+from worm_model.gait import Gait, Profile
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health, StateRecord
 from worm_model.twin.scene import PositionSample
@@ -48,6 +48,8 @@ class GaitCommand:
         if not gait.is_sinusoid:
             parts.append(f"pretension {1e3 * gait.pretension:.1f} mm")
             parts.append(f"contraction share {gait.contraction_share:g}, {gait.profile}")
+            if gait.profile is Profile.TRAPEZOID:
+                parts.append(f"ramp share {gait.ramp_share:g}")
         parts.append("forward" if gait.direction > 0 else "reverse")
         ends = (
             (self.cycles, f"{self.cycles} cycles"),

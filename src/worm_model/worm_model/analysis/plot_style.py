@@ -12,11 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 # Okabe and Ito's palette (https://jfly.uni-koeln.de/color), and further colours that contrast with it
 BLUE, VERMILION, GREEN, PINK, SKY, ORANGE = (
@@ -126,21 +123,3 @@ def branch_style(branch: int, size: float = 4.5) -> dict[str, Any]:
         "linestyle": "none",
         "label": f"{branch} groove{'s' if branch > 1 else ''} per cycle",
     }
-
-
-def draw_groove_map(
-    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], grooves: NDArray[Any]
-) -> None:
-    """Draw a map of the grooves per cycle (m, n) with the axes ``x`` (n,) and ``y`` (m,), and a colour bar."""
-    count = max(int(grooves.max()), 1) + 1
-    image = axes.pcolormesh(
-        x,
-        y,
-        grooves,
-        cmap=mpl.colormaps["cividis"].resampled(count),
-        norm=BoundaryNorm(np.arange(-0.5, count), count),
-        shading="nearest",
-        rasterized=True,
-    )
-    figure = axes.figure
-    figure.colorbar(image, ax=axes, ticks=np.arange(count), label="grooves per cycle", pad=0.02)

@@ -156,17 +156,19 @@ class ReplayReporter:
             unusable: reasons why runs cannot be judged, see `Replay.unusable`.
         """
         samples, residuals = self._samples, self._residuals.whole()
+        order = np.argsort(residuals["stamp_ns"], kind="stable")  # The clock may have gone back.
+        by_stamp = {name: column[order] for name, column in residuals.items()}
         last = samples.origin if samples.last_ns is None else samples.last_ns
         played = played_gaits(samples.gait_state)
         ends = [_end_of_run(samples.gait_state, last, each) for each in played]
         untils = [*(each.onset for each in played[1:]), _FOREVER]
         runs = tuple(
-            self._run_report(each, end, until, residuals, unusable)
+            self._run_report(each, end, until, by_stamp, unusable)
             for each, end, until in zip(played, ends, untils, strict=False)
         )
         start, end = (played[-1].onset, ends[-1]) if played else (samples.origin, last)
         return ReplayReport(
-            residuals=_residuals(residuals, start, end + 1),
+            residuals=_residuals(by_stamp, start, end + 1),
             energy_error=_energy_error(self._power.whole(), residuals, start),
             cycles=runs[-1].cycles if runs else (),
             runs=runs,
@@ -270,11 +272,11 @@ class _Columns:
 
 
 def _residuals(series: Series, start: int, end: int) -> Residuals:
-    """Return means and root mean squares of the residuals with stamps from ``start`` (ns) to before ``end``."""
-    inside = (series["stamp_ns"] >= start) & (series["stamp_ns"] < end)
+    """Return means and root mean squares of residuals, by ascending stamp, from ``start`` (ns) to before ``end``."""
+    rows = slice(*np.searchsorted(series["stamp_ns"], (start, end)))
     figures = []
     for name in _CHANNELS:
-        values = series[name][inside]
+        values = series[name][rows]
         finite = values[np.isfinite(values)]
         figures += [float(finite.mean()) if finite.size else math.nan, root_mean_square(values)]
     return Residuals(*figures)

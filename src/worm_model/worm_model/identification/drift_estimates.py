@@ -70,10 +70,16 @@ def estimate_bags(
     """
     bags: list[BagEstimates] = []
     excluded: list[ExcludedBag] = []
+    seen: dict[tuple[str, ...], str] = {}
     for done, path in enumerate(dict.fromkeys(path.resolve() for path in paths)):
         progress(done / len(paths))
         try:
-            bags.append(estimate_bag(read_bag(path)[0], parameters))
+            recording = read_bag(path)[0]
+            content = tuple(sorted(recording.sources.values()))
+            if content and content in seen:
+                raise IdentificationError(f"the same run as {seen[content]}")
+            seen[content] = recording.name
+            bags.append(estimate_bag(recording, parameters))
         except ParameterError:
             raise
         except (ValueError, SimulationError) as error:  # must not prevent the use of the other bags

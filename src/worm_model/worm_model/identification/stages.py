@@ -47,8 +47,8 @@ NOT_OF_PAPER = "not in the paper's model; without it η would be {:.1f} N·s/m"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
 ONE_SIDED = "for a cable that cannot push, not comparable with the paper's value"
 OTHER_FORM = (
-    "these runs do not determine c_b and α_P ({}), and the given values were fitted with the paper's power model: omit "
-    "--one-sided-cable"
+    "--one-sided-cable is not applied: these runs do not determine c_b and α_P ({}), and the given values were fitted "
+    "with the paper's power model"
 )
 NO_FRICTION = "η is not identified, and c_b and α_P depend on it"
 
@@ -141,6 +141,12 @@ def identify(
     estimates |= {key: getattr(actuation, key) for key in ACTUATION}
     progress("energy", 0.0)
     energy = _identify_energy(runs, estimates, locomotion, reference, random)
+    if reference.fitted_otherwise and not energy.power_factor.identifiable:
+        failed.append(OTHER_FORM.format(energy.power_factor.note))
+        papers = reference.parameters.replace(one_sided_cable=False)
+        reference = replace(reference, parameters=papers, fitted_otherwise=False)
+        known = replace(known, parameters=known.parameters.replace(one_sided_cable=False))
+        energy = _identify_energy(runs, estimates, locomotion, reference, random)
     estimates |= _energy_estimates(energy, reference)
     estimates = {key: admissible(key, estimate) for key, estimate in estimates.items()}
     parameters = _with_values(known.parameters, estimates)
@@ -238,10 +244,7 @@ def _identify_energy(
     hindrance = "" if locomotion.viscous_friction.identifiable else NO_FRICTION
     if not stiffness.identifiable:
         hindrance = NO_BELLOWS
-    result = identify_energy(power_runs, forces.draw, reference.parameters, random, hindrance)
-    if reference.fitted_otherwise and not result.power_factor.identifiable:
-        raise IdentificationError(OTHER_FORM.format(result.power_factor.note))
-    return result
+    return identify_energy(power_runs, forces.draw, reference.parameters, random, hindrance)
 
 
 def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:

@@ -53,13 +53,16 @@ class LossCounter:
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
         self._last = 0
+        self._alone = True  # at the previous number out of sequence
         self.lost = 0
 
     def observe(self, sequence: int) -> None:
         """Account for a received message with a sequence number, which its publisher counts from 1."""
         gap = sequence - self._last - 1
-        if self._last and gap > 0 and self._publishers() == 1:
-            self.lost += gap
+        if self._last and gap:
+            before, self._alone = self._alone, self._publishers() == 1
+            if gap > 0 and before and self._alone:
+                self.lost += gap
         self._last = sequence
 
 

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from worm_model.errors import InputError
 from worm_model.gait import AVERAGED, CYCLES, FORWARD, Gait, check_body
 from worm_model.parameters import PAPER, Parameters
-from worm_model.simulation.actuation import actuator
 from worm_model.simulation.closed_form import front_groove, groove_phase, largest_static_load
 from worm_model.simulation.kernel import guard, march
 from worm_model.simulation.kernel import whole_run as run
@@ -255,39 +254,6 @@ def _events(rows: Array) -> list[Event]:
     fins = {guard.REAR_HIGH: (1, 1), guard.REAR_LOW: (1, -1)}
     fins |= {guard.FRONT_HIGH: (2, 1), guard.FRONT_LOW: (2, -1)}
     return [Event(float(time), *fins[int(stop)], bool(switched)) for time, stop, switched in rows]
-
-
-def play_gait(
-    gait: Gait, parameters: Parameters, start: LocomotionState, times: ArrayLike
-) -> Motions:
-    """Return dense output of a gait that begins at time 0 in a given state.
-
-    The energy counts from time 0. The gait's margin is ignored.
-
-    Args:
-        gait: the gait.
-        parameters: parameters of the robot.
-        start: state at time 0.
-        times: at least one time (n,), s, ascending.
-
-    Raises:
-        ValueError: The times do not ascend from 0 on.
-        SimulationError: A fin chatters.
-    """
-    time = _ascending(times, 0.0, math.inf)
-    records = _records(time)
-    run.play(
-        0.0,
-        float(time[-1]),
-        gait_rows(gait)[0],
-        start.length_change,
-        _motion_of(start),
-        _constants_of(parameters, gait.direction, 0.0),
-        actuator(parameters),
-        records,
-    )
-    _check(records.totals[march.FAILURE], gait, parameters)
-    return _motions(records.samples, parameters)
 
 
 def _motion_of(state: LocomotionState) -> Motion:

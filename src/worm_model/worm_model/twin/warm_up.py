@@ -19,7 +19,7 @@ from worm_model.simulation.kernel.march import SAMPLE_COLUMNS
 from worm_model.simulation.kernel.sampled_energy import sampled_energy
 from worm_model.simulation.kernel.whole_run import run_from_rest
 from worm_model.simulation.rows import parameter_rows
-from worm_model.simulation.simulator import Locomotion, evaluate_gait, play_gait, simulate
+from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
 from worm_model.twin.data.samples import SampleKind, SampleRows, sample_rows
 from worm_model.twin.twin import Twin
 
@@ -46,7 +46,6 @@ def _call_kernel() -> None:
     trajectory.events()
     model = Locomotion()
     model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
-    play_gait(gait, PAPER, model.start(), [0.1])
     length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
     samples, still, row = np.zeros((1, SAMPLE_COLUMNS)), np.zeros((4, 1)), parameter_rows(PAPER)[0]
     two = np.arange(2.0)

@@ -11,7 +11,7 @@ import json
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -130,10 +130,10 @@ def _campaign(options: argparse.Namespace) -> int:
             campaign = _Campaign(options, robot, folder, work / "logs", say)
             names = campaign.run()
     except FAILURES as error:
-        sys.stderr.write(f"campaign: {error}\n{_hint(folder)}")
+        sys.stderr.write(f"campaign: {error}\n{_hint(folder, options)}")
         return FAILED
     except KeyboardInterrupt:
-        sys.stderr.write(_hint(folder))
+        sys.stderr.write(_hint(folder, options))
         raise
     say("comparing")
     campaign.compare(names)
@@ -145,6 +145,10 @@ def _check_bench_tests(options: argparse.Namespace) -> None:
     from worm_model.identification import bellows, fin
     from worm_model.identification.inputs import read_bench_test
 
+    fits: dict[str, Callable[[Any, Any], object]] = {
+        "--bellows": bellows.fit_bellows,
+        "--fin": fin.fit_fin,
+    }
     for option, path, columns in (
         ("--bellows", options.bellows, bellows.COLUMNS),
         ("--fin", options.fin, fin.COLUMNS),
@@ -154,7 +158,8 @@ def _check_bench_tests(options: argparse.Namespace) -> None:
         if not options.identify:
             raise InputError(f"{option} has no effect without --identify: give both")
         try:
-            read_bench_test(path, columns)
+            test = read_bench_test(path, columns)
+            fits[option](test.x, test.y)
         except IdentificationError as error:
             raise InputError(f"{option} {path}: {error}") from None
 
@@ -327,7 +332,7 @@ def _folder(options: argparse.Namespace) -> Path:
         if options.output is not None:
             raise InputError("--resume names the folder: remove --output")
         resumed: Path = options.resume.resolve()
-        if not _is_begun(resumed):
+        if not _is_begun(resumed, options):
             raise InputError(f"{resumed}: contains no campaign")
         if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete and contains its report")
@@ -341,18 +346,19 @@ def _folder(options: argparse.Namespace) -> Path:
     return folder
 
 
-def _is_begun(folder: Path) -> bool:
+def _is_begun(folder: Path, options: argparse.Namespace) -> bool:
     """Return True if a folder contains a campaign that can be continued."""
     from worm_optimizer.operation.campaign_plan import PROMISES
     from worm_optimizer.operation.campaign_runs import TUNING
     from worm_optimizer.operation.identification_runs import RUNS
 
-    return any((folder / name).exists() for name in (PROMISES, RUNS, TUNING))
+    names = (PROMISES, TUNING, *((RUNS,) if options.identify else ()))
+    return any((folder / name).exists() for name in names)
 
 
-def _hint(folder: Path) -> str:
+def _hint(folder: Path, options: argparse.Namespace) -> str:
     """Return a line on how to continue an interrupted campaign; empty if nothing has begun."""
-    return f"campaign: continue with --resume {folder}\n" if _is_begun(folder) else ""
+    return f"campaign: continue with --resume {folder}\n" if _is_begun(folder, options) else ""
 
 
 main = executable(_parser, _campaign)

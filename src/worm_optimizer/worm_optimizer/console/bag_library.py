@@ -32,6 +32,7 @@ class BagLibrary:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder.resolve()
         self._temporary = TemporaryDirectory(prefix="worm_console_")
+        self._packed: Path | None = None  # folder of the latest download
         self._reports: dict[str, Path] = {}  # pages, by the name of their folder
 
     def bag(self, name: str) -> Path:
@@ -84,7 +85,10 @@ class BagLibrary:
         bag = self.bag(name)
         if any(self.folder not in path.resolve().parents for path in bag.rglob("*")):
             raise InputError(f"{name}: links lead out of the bags folder")
-        made = Path(mkdtemp(dir=self._temporary.name)) / bag.name
+        if self._packed is not None:
+            shutil.rmtree(self._packed, ignore_errors=True)  # The previous download has been sent.
+        self._packed = Path(mkdtemp(dir=self._temporary.name))
+        made = self._packed / bag.name
         return Path(
             await asyncio.to_thread(shutil.make_archive, str(made), "zip", bag.parent, bag.name)
         )

@@ -232,7 +232,9 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
 
 
 @contextmanager
-def recorded(node: OperatorNode, recorder: NodeDescription) -> Iterator[Path]:
+def recorded(
+    node: OperatorNode, recorder: NodeDescription, group: ProcessGroup | None = None
+) -> Iterator[Path]:
     """Record during this context with a recorder of its own, and provide the path of the bag.
 
     The context begins when the recorder has subscribed to all topics. After the context, the recorder records for
@@ -241,14 +243,14 @@ def recorded(node: OperatorNode, recorder: NodeDescription) -> Iterator[Path]:
     Args:
         node: the operator.
         recorder: description of the recorder, see `Robot.recorder` and `system.recorder_of`.
+        group: processes to which the recorder is added, and which are watched; None: a group of its own.
     """
     name = f"{RECORDER}_{os.getpid()}_{time.monotonic_ns()}"  # unique among all recorders
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
-    with (
-        ExitStack() as removal,
-        work_folder("record") as work,
-        ProcessGroup(work / "logs") as group,
-    ):
+    with ExitStack() as removal, ExitStack() as own_group:
+        if group is None:
+            work = own_group.enter_context(work_folder("record"))
+            group = own_group.enter_context(ProcessGroup(work / "logs"))
         own = replace(recorder, name=name, arguments=words)
         bag = bag_of(start_node(group, own, node.get_namespace().strip("/")))
         node.wait_for_recorder(name)
@@ -256,6 +258,7 @@ def recorded(node: OperatorNode, recorder: NodeDescription) -> Iterator[Path]:
             yield bag
         except (InputError, RejectedStartError):  # nothing moved
             removal.callback(shutil.rmtree, bag)  # when the recorder has ended
+            group.end(name)
             raise
         node.rest(AFTERWARDS_S)
         group.end(name)

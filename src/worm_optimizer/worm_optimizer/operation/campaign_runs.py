@@ -76,7 +76,7 @@ def gait_recorder(
             prepare(running, f"{bag.name}: {order}")
             put_aside(bag, say)
             say(f"{bag.name}: {order}")
-            with recorded(node, robot.recorder(bag)):
+            with recorded(node, robot.recorder(bag), running.group):
                 if latest not in (None, node.run_number):
                     say(f"{bag.name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
                 running.run_gait(order)

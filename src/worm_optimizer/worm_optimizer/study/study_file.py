@@ -126,6 +126,8 @@ def _number(name: str, value: Any) -> float:
             f"{name}: {value!r} is not a number from {quantity.low:g} to {quantity.high:g} {quantity.unit}; "
             f"{hint or 'is it in another unit?'}"
         )
+    if name == "direction" and value not in (1, -1):
+        raise StudyError(f"{name}: {value!r} is neither 1 nor -1")
     return float(value)
 
 
@@ -148,7 +150,7 @@ def _values(name: str, row: Any) -> tuple[float, ...] | Range:
             if len(set(values)) < len(values):
                 raise StudyError(f"{name}: contains a value twice")
             return values
-        case {"range": [low, high], **others} if not others:
+        case {"range": [low, high], **others} if not others and name != "direction":
             return Range(*_ends(name, low, high))
         case {"from": low, "to": high, "count": int(count), **others} if (
             not others and 2 <= count <= _MOST_VALUES
@@ -251,6 +253,8 @@ class StudyFile:
             raise StudyError(
                 "groove_phase_m: sets initial_length, but the study has initial_length, too; keep one of them"
             )
+        if self.sample != _SAMPLE and not self.ranges:
+            raise StudyError("sample: nothing under vary has a range to sample")
         if not self.dimensions:
             raise StudyError(
                 "vary: nothing varies: name at least one quantity, or several parameter_files"

@@ -16,7 +16,6 @@ from worm_model.simulation.simulator import (
     Locomotion,
     SimulationError,
     evaluate_gait,
-    play_gait,
     simulate,
 )
 
@@ -102,9 +101,6 @@ def test_times_outside_the_run_are_rejected() -> None:
     model = Locomotion()
     with pytest.raises(ValueError, match="must be finite"):
         model.follow(model.start(), [0.1, 0.2], [-0.001, math.nan])
-    for times in ([-0.1, 0.2], [0.2, 0.1]):
-        with pytest.raises(ValueError, match="ascend"):
-            play_gait(Gait(0.07, 0.2), PAPER, model.start(), times)
 
 
 def test_no_time_changes_nothing_but_is_sampled() -> None:

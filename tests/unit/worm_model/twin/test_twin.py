@@ -165,7 +165,7 @@ def test_a_pause_of_a_measured_length_is_survived(one_by_one: bool):
 
 @pytest.mark.parametrize(("command", "length"), [(3.9, 4.04), (4.04, 3.9)])
 def test_a_pause_ends_at_the_next_length_of_any_kind(command: float, length: float):
-    """Between two lengths of any kind are 0.9 s at most, less than `pause_s`."""
+    """Between two lengths of any kind are 0.9 s at most, less than `PAUSE_NS`."""
     kept = [s for s in commands(GAIT, 6.0) if not at(3.0) < s.stamp_ns < at(command)]
     seen = [TrackerSample(at(3.85), ORIGIN, math.nan), MeasuredLength(at(length), 0.27)]
     output = follow(in_order(announcements(GAIT), kept, seen))

@@ -164,7 +164,10 @@ class _Layout:
 
     def __init__(self, message: bytes, type_name: str, types: Types) -> None:
         if message[:2] not in (BIG, LITTLE):
-            raise BagError(f"a message is not plain CDR: it begins with {message[:4]!r}")
+            raise BagError(
+                f"a message is not plain CDR: it begins with {message[:4]!r}; if rosbag2 has compressed it, convert "
+                "the bag: ros2 bag convert"
+            )
         self._message = message
         self._types = types
         self._order = "<" if message[:2] == LITTLE else ">"

@@ -27,6 +27,8 @@ def check_readable(path: Path) -> None:
         raise BagError(f"{path} cannot be opened: {error.strerror}") from None
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise BagError(f"{path} is neither a file nor a folder; give the folder or file of a bag")
+    if not os.access(path, os.R_OK):
+        raise BagError(f"{path} cannot be read: permission denied")
 
 
 def dated(output: Path) -> Path:

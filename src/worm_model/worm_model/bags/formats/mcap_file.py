@@ -96,8 +96,6 @@ class McapFile(StoredFile):
                 mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError:
             raise BagError(f"{path} is empty: nothing was recorded, or its disk was full") from None
-        except OSError as error:
-            raise BagError(f"{path} cannot be read: {error.strerror}") from None
         self._data = memoryview(mapped)
         if self._data[: len(MAGIC)] != MAGIC:
             beginning = bytes(self._data[: len(MAGIC)])

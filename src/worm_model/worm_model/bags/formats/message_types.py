@@ -37,6 +37,7 @@ PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
 REMEDY = "source the workspace with the definitions of the time of the recording"
 REASON_LENGTH = 200  # shown characters of a parser's error, which repeats the definition
+_CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
 # texts and characters (first group), and comments
 _IDL_TEXT = re.compile(r"""(?s)("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])')|//[^\n]*|/\*.*?\*/""")
 _IDL_ANNOTATION = re.compile(r"@(?:::)?\w+(?:::\w+)*(?:\s*\((?:[^()]|\([^()]*\))*\))?")
@@ -94,7 +95,7 @@ def installed_definition(type_name: str) -> str:
         package, _, kind = name.partition("/msg/")
         texts[name] = _installed_text(package, kind)
         with suppress(*_UNREADABLE):  # errors are reported by `parse_types`
-            (_, fields) = get_types_from_msg(texts[name], name)[name]
+            (_, fields) = get_types_from_msg(_plain_msg(texts[name]), name)[name]
             waiting += [needed for _, field in fields for needed in _named(field)]
     parts = [
         text if name == type_name else f"{SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}"
@@ -155,7 +156,7 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
         if definition_format == "ros2idl":
             types = get_types_from_idl(_plain_idl(definition))
         else:
-            types = get_types_from_msg(definition, type_name)
+            types = get_types_from_msg(_plain_msg(definition), type_name)
         for name in [type_name, *(n for _, fs in types.values() for _, f in fs for n in _named(f))]:
             if name not in types:
                 raise DefinitionError(f"the definition of {name} is missing")
@@ -167,6 +168,12 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
         reason = shorten(str(error), REASON_LENGTH, placeholder=" …")
         raise DefinitionError(f"the definition of {type_name} cannot be read: {reason}") from None
     return store
+
+
+def _plain_msg(definition: str) -> str:
+    """Return the lines of a definition that determine the layout, without comments and constants."""
+    lines = (line.split("#", 1)[0].strip() for line in definition.splitlines())
+    return "\n".join(line for line in lines if line and not _CONSTANT.match(line)) + "\n"
 
 
 def _plain_idl(definition: str) -> str:

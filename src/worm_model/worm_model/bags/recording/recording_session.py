@@ -49,7 +49,8 @@ class RecordingSession:
             self._ring.add(messages)
         else:
             self._write(methodcaller("record", messages))
-            self._count(messages)
+            if self.error is None:
+                self._count(messages)
 
     def add_topics(self, topics: Iterable[Topic]) -> None:
         """Add topics; the present and the following bags list them even without messages."""

@@ -112,7 +112,7 @@ def _make_room(memory: Memory) -> bool:
     while first < m.place and rows[first].stamp < m.processed_ns - HISTORY_NS:
         first += 1
     if first < ROOM // 16:
-        # The samples are so dense that rows younger than ``history`` have to be removed, too.
+        # The samples are so dense that rows younger than `HISTORY_NS` have to be removed, too.
         first = max(m.place - ROOM // 2, 0)
     for k in range(m.filled - first):
         rows[k] = rows[k + first]
