@@ -21,7 +21,6 @@ from worm_driver.clock import Traffic
 from worm_driver.control.control_loop import ControlLoop
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import CycleSnapshot, Robot
-from worm_driver.driver_errors import BusError
 from worm_driver.gait.gait_player import Phase, PlayerSettings
 from worm_driver.power import socket_smbus as frames
 from worm_driver.power.i2c import I2CDevice
@@ -477,12 +476,3 @@ def idle() -> Rig:
 def moving() -> Rig:
     """Return a rig of its own in a gait, at full speed."""
     return _moving().copy()
-
-
-def silent(bus: ServoBus, servo: int) -> bool:
-    """Return True if a servo does not answer a ping."""
-    try:
-        bus.ping(servo)
-    except BusError:
-        return True
-    return False

@@ -366,24 +366,6 @@ def test_without_servos_it_names_the_checks():
         calibrate(silent, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["{}/exists.yaml"], "already exists"),
-        (["{}/no/folder.yaml"], "its folder does not exist"),
-        (["{}/new.yaml", "--turns", "nan"], "--turns"),
-    ],
-)
-def test_a_bad_command_line_is_rejected_before_anything_is_opened(
-    tmp_path, capsys, arguments, expected
-):
-    (tmp_path / "exists.yaml").touch()
-    with pytest.raises(SystemExit) as ended:
-        main([argument.format(tmp_path) for argument in arguments])
-    assert ended.value.code == 2
-    assert expected in capsys.readouterr().err
-
-
 def test_a_missing_port_is_reported_in_one_line(tmp_path, capsys):
     assert main([str(tmp_path / "new.yaml"), "--port", str(tmp_path / "ttyNO")]) == 1
     assert "does not exist" in capsys.readouterr().err

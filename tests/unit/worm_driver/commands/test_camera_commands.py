@@ -71,28 +71,6 @@ def test_a_film_gives_what_its_images_give(images, tmp_path):
     assert float(rows[1]["rear_position_m"]) == pytest.approx(0.005, abs=3e-4)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "required: --output"),
-        (["--output", "{images}/times.csv"], "already exists"),
-        (["--output", "{tmp}/none/out.csv"], "create it first"),
-        (["--output", "{tmp}/out.csv", "--setup", "{tmp}/none.yaml"], "none.yaml: "),
-        (["--output", "{tmp}/out.csv", "--images", "{tmp}"], "no images"),
-    ],
-)
-def test_track_rejects_bad_input_in_one_line(images, tmp_path, capsys, arguments, message):
-    given = [expected.format(tmp=tmp_path, images=images) for expected in arguments]
-    given = ["--images", str(images), "--setup", str(SETUP_FILE), *given]
-    try:
-        status = track.main(given)
-    except SystemExit as left:
-        status = left.code
-    assert status == 2
-    assert message in complaint(capsys)
-    assert not (tmp_path / "out.csv").exists() or (tmp_path / "out.csv").stat().st_size < 100
-
-
 @pytest.mark.parametrize(("paper", "size"), [("a4", (210.0, 297.0)), ("letter", (215.9, 279.4))])
 def test_a_page_has_its_true_size(tmp_path, paper, size):
     output = tmp_path / "markers.pdf"

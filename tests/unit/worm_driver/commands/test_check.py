@@ -48,21 +48,3 @@ def test_a_healthy_robot_then_a_faulty_one(robot, tmp_path, capsys):
     faulty = [number for number, line in enumerate(lines) if State.FAILED.value in line]
     assert [lines[number].split()[0] for number in faulty] == ["hardware"]
     assert "reboot" in lines[faulty[0] + 1]
-
-
-@pytest.mark.parametrize(
-    ("text", "arguments", "named"),
-    [
-        ("/**/driver: {ros__parameters: {prot: x}}", [], "port"),
-        ("/**/driver: {ros__parameters: {fin_servos: {ids: [1, 2]}}}", [], "two servos"),
-        ("/**/driver: {ros__parameters: {}}", ["--camera", "/dev/video0"], "--setup"),
-    ],
-)
-def test_bad_input_is_one_line(text, arguments, named, tmp_path, capsys):
-    file = tmp_path / "driver.yaml"
-    file.write_text(text)
-    assert main([str(file), *arguments]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    (line,) = output.err.splitlines()
-    assert named in line

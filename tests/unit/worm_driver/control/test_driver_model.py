@@ -35,7 +35,6 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_player import Phase as GaitPhase
 from worm_driver.servos.state_reader import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
 from worm_msgs.gait import Gait, Profile
 
 LIVES, STEPS = 20, 50
@@ -112,34 +111,6 @@ SHAPED = st.builds(
     ramp_share=st.sampled_from([0.1, 0.3, 0.5]),
 )
 GAITS = st.one_of(PAPERS, SHAPED)
-INVALID_GAITS = st.builds(
-    Gait,
-    st.sampled_from([0.03, 1e-300, 1.0]),
-    st.sampled_from([20.0, 1e-300]),
-    st.sampled_from([1, -1]),
-    st.sampled_from([0.0, 0.1]),
-    st.sampled_from([0.0, 0.08, 1.0]),
-    st.sampled_from([0.5, 0.01, 0.99]),
-    st.sampled_from(Profile),
-    st.sampled_from([0.1, 0.5]),
-)
-#: registers that another program may leave, with raw values
-LEFT_OVER = st.one_of(
-    st.tuples(
-        st.sampled_from(
-            ["profile_acceleration", "profile_velocity", "goal_pwm", "position_p_gain"]
-        ),
-        st.integers(1, 800),
-    ),
-    st.tuples(st.sampled_from(["position_i_gain", "feedforward_1st_gain"]), st.integers(1, 9000)),
-    st.tuples(st.sampled_from(["status_return_level", "led", "drive_mode"]), st.integers(0, 1)),
-    st.tuples(st.sampled_from(["operating_mode"]), st.sampled_from([1, 3, 4, 16])),
-    st.tuples(st.sampled_from(["homing_offset"]), st.integers(-9000, 9000)),
-    st.tuples(
-        st.sampled_from(["pwm_limit", "velocity_limit", "shutdown", "secondary_id"]),
-        st.integers(1, 60),
-    ),
-)
 
 
 class Life(RuleBasedStateMachine):
@@ -202,12 +173,6 @@ class Life(RuleBasedStateMachine):
         if number is not None:
             self.goals.append(number)
         self.time_passes(wait)
-
-    @precondition(lambda self: self.alive)
-    @rule(gait=INVALID_GAITS, cycles=st.sampled_from([1, 0, 2_000_000]))
-    def invalid_goal(self, gait: Gait, cycles: int) -> None:
-        with pytest.raises(DriverError):
-            self.rig.robot.start(self.clock.now, gait, cycles)
 
     @precondition(lambda self: self.alive)
     @rule()
@@ -373,26 +338,6 @@ class Life(RuleBasedStateMachine):
     @rule(away=st.floats(0.0, 0.5))
     def killed_and_started_again(self, away: float) -> None:
         self.restart(away)
-        if self.alive:
-            self.activate()
-
-    @precondition(
-        lambda self: self.alive and not self.rig.robot.active and not any(self.rig.torques)
-    )
-    @rule(servo=st.sampled_from([0, 1, 2]), left=LEFT_OVER)
-    def another_program_changes_a_register(self, servo: int, left: tuple[str, int]) -> None:
-        """The next driver resets the register or rejects it; then the program restores the register."""
-        name, value = left
-        target = self.virtual.servos[servo]
-        before = target.memory[name]
-        for raw in (value, before):
-            row = target.model.registers[name]
-            data = row.address.to_bytes(2, "little") + row.encode(raw)
-            packet = instruction_packet(target.servo_id, Instruction.WRITE, data)
-            self.virtual.receive(packet, self.clock.now)
-            self.restart(0.0)
-            if self.alive:
-                break
         if self.alive:
             self.activate()
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from driver_rig import CABLE, Rig, idle, moving, settings
 
-from worm_driver.driver_errors import ConfigurationError, RejectedError, StoppedError
+from worm_driver.driver_errors import ConfigurationError, RejectedError
 from worm_driver.gait.gait_player import Phase
 
 
@@ -147,21 +147,6 @@ def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
     assert ended(rig) != []
     assert rig.contraction == pytest.approx(held, abs=1e-3)
     assert rig.cable.memory["torque_enable"] == 1
-
-
-def test_no_deactivation_moves_a_robot_before_its_emergency_stop_is_reset():
-    rig = moving()
-    held = latched(rig).contraction
-    assert held > 0.01
-    with pytest.raises(StoppedError, match="the emergency stop is on"):
-        rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(0.5)
-    assert not rig.robot.released
-    assert rig.contraction == pytest.approx(held, abs=1e-4)
-    rig.robot._why_not_start = lambda: ""
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(10.0, until=lambda _: rig.robot.released)
-    assert rig.contraction == pytest.approx(0.0, abs=1e-3)
 
 
 def test_during_an_emergency_stop_a_robot_that_is_not_contracted_is_released_without_a_motion():

@@ -51,11 +51,6 @@ def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) 
 # --- configure, activate, release -----------------------------------------------------------------
 
 
-def test_a_missing_servo_is_named():
-    with pytest.raises(BusError, match="servo 5 does not answer"):
-        Rig(settings(cable_ids=(5,)))
-
-
 def test_activation_holds_the_servos_where_they_stand_with_the_watchdog_armed(rig):
     before = [servo.shaft.position for servo in rig.virtual.servos]
     rig.activate()
@@ -549,20 +544,6 @@ def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released(
     slow = rig.settings.player.return_speed
     assert 0.9 * slow < max(speeds[: tensioned - 1]) <= 1.01 * slow
     assert max(speeds) <= 1.01 * run.gait.peak_speed
-
-
-@pytest.mark.parametrize("phase", [Phase.TENSIONING, Phase.RESTING, Phase.RUNNING, Phase.RETURNING])
-def test_a_stop_holds_in_every_phase_of_a_shaped_gait(phase):
-    rig = idle()
-    rig.start(0.06, 0.4, 1, **SHAPED)
-    rig.run(20.0, until=lambda s: s.player.phase is phase and s.player.length_change < -0.004)
-    rig.robot.stop(rig.clock.now, "asked to")
-    assert rig.robot.player.phase is Phase.HOLDING
-    assert rig.time_to_stop(0.2) < STOP
-    held = rig.cable.shaft.position
-    rig.run(0.5)
-    assert rig.cable.shaft.position == pytest.approx(held, abs=15)  # the force of the body decays
-    assert rig.robot.player.active_run is None
 
 
 def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
