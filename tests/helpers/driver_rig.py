@@ -58,6 +58,9 @@ class Clock:
     def __call__(self) -> float:
         return self.now
 
+    def sleep_until(self, due: float) -> None:
+        self.now = max(self.now, due)
+
     def close(self) -> None:
         return None
 

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bus against byte-level servos. Each fault of the SDK has a test that fails without its remedy."""
 
-import os
 import random
 import threading
 import time
-import tty
-from collections.abc import Iterator
 
 import pytest
 from driver_rig import CABLE, Clock, Line, SimulatedPort, Wire
@@ -221,16 +218,6 @@ def test_a_sync_read_keeps_the_alert_bit_which_hides_no_error_number(line):
 
 
 # --- the port ------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def terminal() -> Iterator[str]:
-    """Open a pseudo-terminal whose other end does not respond."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    yield os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
 
 
 def test_a_baud_rate_that_the_sdk_cannot_set_is_rejected(terminal):
