@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver's robot on the byte-level virtual robot, on a clock that only the test advances."""
 
-import itertools
 import math
 import re
 from collections.abc import Callable
@@ -231,12 +230,10 @@ def test_a_cable_servo_that_releases_torque_is_a_fault_and_no_goal_is_sent_beyon
     rig = moving()
     rig.inject(fault, target=CABLE, duration=0.3)
     rig.run(3.0, until=lambda s: s.player.phase is Phase.FAULT)
-    noticed = rig.clock.now
     length = rig.robot.player.length_change
     rig.run(1.0)
     assert rig.robot.player.length_change == length
     assert rig.cable.memory["torque_enable"] == 0
-    assert noticed < 10.0
 
 
 @pytest.mark.parametrize(
@@ -460,38 +457,30 @@ ONE_SERVO = spool_parameters([Spool(3, 1, 0.01)]) | fin_parameters([])
 
 
 @pytest.mark.parametrize(
-    ("model", "voltage", "current", "register", "raw"),
-    [
-        (XL330_M288, 5.0, 1.0, "current_limit", 1100),  # 1 mA
-        (XL430_W250, 12.0, 1.0, "goal_pwm", 487),  # 0.113 %
-        (XM430_W350, 12.0, 1.0, "current_limit", 409),  # 2.69 mA
-        (XL330_M288, 5.0, 5.0, "current_limit", 1750),  # the maximum of the model
-        (XM430_W350, 12.0, 5.0, "current_limit", 1193),
-    ],
+    ("model", "voltage", "current", "raw"),
+    [(XL330_M288, 5.0, 5.0, 1750), (XM430_W350, 12.0, 5.0, 1193)],
 )
-def test_each_model_limits_its_own_output_a_little_above_the_level_of_a_fault(
-    model, voltage, current, register, raw
-):
-    given = settings(**ONE_SERVO, max_servo_current=current, max_servo_load=0.5)
-    rig = Rig(given, other_robot({3: model}, voltage))
+def test_no_limit_of_the_output_is_above_the_maximum_of_the_model(model, voltage, current, raw):
+    rig = Rig(settings(**ONE_SERVO, max_servo_current=current), other_robot({3: model}, voltage))
     rig.activate()
-    assert rig.cable.memory[register] == raw
-    assert rig.cable.memory["torque_enable"] == 1
-    assert rig.cable.memory["profile_velocity"] > 0
+    assert rig.cable.memory["current_limit"] == raw
 
 
 @pytest.mark.parametrize(
-    ("model", "voltage", "limits"),
+    ("model", "voltage", "limits", "register", "raw"),
     [
-        (XL330_M288, 5.0, {"max_servo_current": 1.0}),
-        (XL430_W250, 12.0, {"max_servo_load": 0.6}),
-        (XM430_W350, 12.0, {"max_servo_current": 1.5}),
+        (XL330_M288, 5.0, {"max_servo_current": 1.0}, "current_limit", 1100),  # 1 mA
+        (XL430_W250, 12.0, {"max_servo_load": 0.6}, "goal_pwm", 584),  # 0.113 %
+        (XM430_W350, 12.0, {"max_servo_current": 1.5}, "current_limit", 613),  # 2.69 mA
     ],
 )
-def test_an_overload_of_each_model_is_a_fault(model, voltage, limits):
+def test_each_model_limits_its_output_a_little_above_the_level_of_a_fault(
+    model, voltage, limits, register, raw
+):
     """The cable is blocked. Only the servo's effort may show this, in time before the servo overheats."""
     given = settings(**ONE_SERVO, **limits, max_following_error=1.0)
     rig = Rig(given, other_robot({3: model}, voltage)).play(0.02, 0.2, cycles=2)
+    assert rig.cable.memory[register] == raw
     rig.run(1.0)
     rig.inject("stalled", target=3, duration=10.0)
     fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
@@ -504,19 +493,12 @@ def test_an_overload_of_each_model_is_a_fault(model, voltage, limits):
 SHAPED = {"pretension": 0.012, "contraction_share": 0.6, "profile": 1, "ramp_share": 0.2}
 
 
-def goals_of_cable(rig: Rig) -> list[float]:
-    """Return the goals (m) that were written to the cable servo."""
-    spool = rig.settings.spools[0]
-    return [spool.length_change(goal.ticks) for goal in rig.goals if goal.servo == CABLE]
-
-
 def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released():
+    """The speeds of all gaits are in test_gait_player.py."""
     rig = idle()
     rig.goals.clear()
-    rig.start(0.06, 0.4, 2, **SHAPED)
-    rig.run(10.0, until=lambda s: s.player.phase is Phase.RESTING)
+    rig.play(0.06, 0.4, 2, **SHAPED)
     assert rig.snapshots[-1].cable == pytest.approx(-0.012, abs=1e-3)
-    tensioned = len(rig.snapshots)
     rig.run(20.0, until=lambda s: s.player.run.ending is not None)
     run = rig.robot.player.run
     assert run.ending is Ending.COMPLETED
@@ -524,26 +506,13 @@ def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released(
     rig.run(5.0, until=lambda s: s.player.phase is Phase.IDLE)
     rig.run(0.3)
     assert rig.snapshots[-1].cable == pytest.approx(0.0, abs=5e-4)
-    goals = goals_of_cable(rig)
-    assert min(goals) == pytest.approx(-0.072, abs=1e-4)
-    assert max(goals) == pytest.approx(0.0, abs=1e-4)
-    played = [
-        (s.command_time - run.onset, s.commanded)
-        for s in rig.snapshots
-        if run.onset <= s.command_time < run.end
-    ]
+    spool = rig.settings.spools[0]
+    goals = [spool.length_change(goal.ticks) for goal in rig.goals if goal.servo == CABLE]
+    assert (min(goals), max(goals)) == pytest.approx((-0.072, 0.0), abs=1e-4)
+    played = [s for s in rig.snapshots if run.onset <= s.command_time < run.end]
     assert len(played) >= 490
-    assert [change for _, change in played] == pytest.approx(
-        [run.gait.length_change(time) for time, _ in played], abs=1e-12
-    )
-    speeds = [
-        abs(after.commanded - before.commanded) / rig.settings.period
-        for before, after in itertools.pairwise(rig.snapshots)
-        if before.active
-    ]
-    slow = rig.settings.player.return_speed
-    assert 0.9 * slow < max(speeds[: tensioned - 1]) <= 1.01 * slow
-    assert max(speeds) <= 1.01 * run.gait.peak_speed
+    wanted = [run.gait.length_change(snapshot.command_time - run.onset) for snapshot in played]
+    assert [snapshot.commanded for snapshot in played] == pytest.approx(wanted, abs=1e-12)
 
 
 def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():

@@ -288,42 +288,24 @@ def test_a_full_output_buffer_is_an_error_and_no_hang(terminal):
 # --- ten thousand packets -------------------------------------------------------------------------
 
 
-def _spoil(packet: bytes, dice: random.Random) -> bytes:
-    data = bytearray(packet)
-    for _ in range(dice.randrange(4)):
-        kind = dice.randrange(4)
-        at = dice.randrange(len(data)) if data else 0
-        if kind == 0 and data:
-            data[at] = dice.randrange(256)
-        elif kind == 1 and data:
-            del data[at : at + dice.randrange(1, 5)]
-        elif kind == 2:
-            data[at:at] = dice.randbytes(dice.randrange(1, 6))
-        elif data:
-            data = data[:at] + data[: dice.randrange(len(data) + 1)]
-    return bytes(data)
-
-
-def test_ten_thousand_fuzzed_packets_give_the_truth_or_an_error():
-    dice = random.Random(42)
-    clock = Clock()
-    truth = POSITION.pack(-131073)
-
-    def answer(_, now):
-        return [(now, _spoil(status_packet(CABLE, 0, truth), dice))]
-
-    bus = ServoBus(SimulatedPort(Wire(clock, answer), clock), retries=0)
-    outcomes = {"value": 0, "error": 0}
+def test_ten_thousand_fuzzed_packets_give_the_truth_or_an_error(line):
+    bus, outcomes = ServoBus(line.port, retries=0), {"value": 0, "error": 0}
+    bus.write(CABLE, GOAL, -131073)
+    line.inject("fuzzed", duration=1e6)
     for _ in range(10_000):
         try:
-            assert bus.read(CABLE, POSITION) == -131073
+            assert bus.read(CABLE, GOAL) == -131073
             outcomes["value"] += 1
         except BusError:
             outcomes["error"] += 1
-    assert outcomes["value"] > 2000
+    assert outcomes["value"] > 500
     assert outcomes["error"] > 2000
+
+
+def test_noise_is_never_an_answer():
+    dice, clock = random.Random(42), Clock()
     wire = Wire(clock, lambda _, now: [(now, dice.randbytes(dice.randrange(60)))])
-    noisy = ServoBus(SimulatedPort(wire, clock), retries=0)
+    bus = ServoBus(SimulatedPort(wire, clock), retries=0)
     for _ in range(1000):
         with pytest.raises(BusError):
-            noisy.ping(1)
+            bus.ping(1)
