@@ -145,11 +145,11 @@ class SimulatedPort(BusPort):
 
 
 class Line:
-    """Bus with the servos of the installed virtual robot, on a clock of its own."""
+    """Bus with the servos of a virtual robot, by default the installed one, on a clock of its own."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot: VirtualRobot | None = None) -> None:
         self.clock = Clock()
-        self.robot = VirtualRobot(installed_robot())
+        self.robot = robot or VirtualRobot(installed_robot())
         self.wire = Wire(self.clock, self._answer)
         self.port = SimulatedPort(self.wire, self.clock)
         self.bus = ServoBus(self.port)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from driver_rig import Clock, Rig, SimulatedPort, Wire, settings
+from driver_rig import Clock, Line, Rig, SimulatedPort, Wire, installed_robot, settings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,8 +21,6 @@ from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import load_settings
-from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction
 
 
@@ -60,20 +58,15 @@ def test_the_file_is_one_that_ros_reads():
     }
 
 
-class Bench:
+class Bench(Line):
     """The virtual robot, and an operator with a ruler who answers with its true length."""
 
     def __init__(self, spool_radius: float = 0.025) -> None:
-        self.clock = Clock()
-        given = load_settings(None)
+        (cable,) = installed_robot().cable_servos
+        cables = (replace(cable, spool_radius=spool_radius),)
+        super().__init__(VirtualRobot(replace(installed_robot(), cable_servos=cables)))
+        self.bus.retries = 0
         self.radius = spool_radius
-        cables = [replace(item, spool_radius=spool_radius) for item in given.cable_servos]
-        self.robot = VirtualRobot(replace(given, cable_servos=tuple(cables)))
-        wire = Wire(
-            self.clock, lambda data, now: [(t.time, t.data) for t in self.robot.receive(data, now)]
-        )
-        self.port = SimulatedPort(wire, self.clock)
-        self.bus = ServoBus(self.port, retries=0)
         self.start = self.robot.servos[0].shaft.position
         self.decision = "r"
         self.interrupted_at: str | None = None
@@ -168,7 +161,7 @@ def test_a_contracted_robot_that_cannot_return_keeps_its_torque(fault):
 
     def answer(question: str, meanwhile) -> str:
         if "reading 3" in question:
-            bench.robot.board.add(make_fault(fault, target=1, duration=1e3))
+            bench.inject(fault, target=1, duration=1e3)
         return ask(question, meanwhile)
 
     bench.calibration._ask_operator = answer
@@ -258,7 +251,7 @@ def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
 
 def test_a_blocked_cable_ends_the_conversation():
     bench = Bench()
-    bench.robot.board.add(make_fault("stalled", target=1, duration=1e3))
+    bench.inject("stalled", target=1, duration=1e3)
     servo = bench.calibration.find_servos()[0]
     with pytest.raises(DriverError, match="blocked"):
         bench.calibration.cable(servo, 0.3)
@@ -347,8 +340,7 @@ def test_no_request_is_sent_while_a_late_answer_may_still_arrive(late):
     def watched(packet) -> int:
         if packet[7] == Instruction.READ:
             if not in_transit:
-                fault = make_fault("late", target=1, value=late, count=1)
-                bench.robot.board.add(fault.delayed(bench.clock.now))
+                bench.inject("late", target=1, value=late, count=1)
             in_transit.append(len(bench.port.ser._coming))
         return write(packet)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from camera_rig import LENGTH, SETTINGS, SETUP_FILE
-from rendered_images import WHOLE, CameraSettings, Pattern, RenderedCamera
+from rendered_images import WHOLE, CameraSettings, Pattern, RenderedCamera, axes_of
 
 from worm_driver.commands import calibrate_camera, markers, track
 from worm_driver.tracking.camera_model import load_camera_info
@@ -130,15 +130,11 @@ def board_views(tmp_path_factory) -> Path:
     aims = [(0, 0), (0.06, 0.05), (-0.06, 0.05), (0.06, -0.05), (-0.06, -0.05)]
     for index, (yaw, pitch) in enumerate(tilts):
         distance = 0.24 if index < 5 else 0.3
-        forward = np.array(
-            [-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)]
-        )
+        view = replace(lens, yaw=yaw, pitch_angle=pitch, roll=0.3 * (index % 3))
         x, z = aims[(index * 2) % 5]
-        place = np.array([x, 0.0, z]) - distance * forward
-        view = replace(
-            lens, yaw=yaw, pitch_angle=pitch, roll=0.3 * (index % 3), position=tuple(place)
-        )
-        cv2.imwrite(str(folder / f"{index}.png"), board_image(view))
+        place = np.array([x, 0.0, z]) - distance * axes_of(view)[2]
+        image = board_image(replace(view, position=tuple(place)))
+        cv2.imwrite(str(folder / f"{index}.png"), image)
     return folder
 
 

@@ -58,46 +58,28 @@ OFF = 0.006
 EMERGENCY = "the emergency stop is on"
 MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING, GaitPhase.TENSIONING)
 
+
+def faults(names: list[str], **arguments: st.SearchStrategy) -> st.SearchStrategy:
+    return st.tuples(st.sampled_from(names), st.fixed_dictionaries(arguments))
+
+
+ONE = st.sampled_from([1, 11, 12])
 FAULTS = st.one_of(
-    st.tuples(
-        st.sampled_from(
-            ["no_answer", "corrupted_crc", "truncated", "duplicated", "fuzzed", "error"]
-        ),
-        st.fixed_dictionaries({"count": st.integers(1, 12)}),
+    faults(
+        ["no_answer", "corrupted_crc", "truncated", "duplicated", "fuzzed", "error"],
+        count=st.integers(1, 12),
     ),
-    st.tuples(
-        st.just("late"),
-        st.fixed_dictionaries({"count": st.integers(1, 30), "value": st.floats(0.001, 0.040)}),
+    faults(["late"], count=st.integers(1, 30), value=st.floats(0.001, 0.040)),
+    faults(
+        ["no_answer", "vanished", "stalled", "input_voltage", "overload"],
+        target=st.sampled_from([1, 2, 11, 12]),
+        duration=st.floats(0.02, 0.4),
     ),
-    st.tuples(
-        st.sampled_from(["no_answer", "vanished", "stalled", "input_voltage", "overload"]),
-        st.fixed_dictionaries(
-            {"target": st.sampled_from([1, 2, 11, 12]), "duration": st.floats(0.02, 0.4)}
-        ),
+    faults(["wrong_position"], target=ONE, count=st.integers(1, 3), value=st.integers(-9000, 9000)),
+    faults(
+        ["wrong_id"], target=ONE, count=st.integers(1, 6), value=st.sampled_from([1, 11, 12, 77])
     ),
-    st.tuples(
-        st.just("wrong_position"),
-        st.fixed_dictionaries(
-            {
-                "target": st.sampled_from([1, 11, 12]),
-                "count": st.integers(1, 3),
-                "value": st.integers(-9000, 9000),
-            }
-        ),
-    ),
-    st.tuples(
-        st.just("wrong_id"),
-        st.fixed_dictionaries(
-            {
-                "target": st.sampled_from([1, 11, 12]),
-                "count": st.integers(1, 6),
-                "value": st.sampled_from([1, 11, 12, 77]),
-            }
-        ),
-    ),
-    st.tuples(
-        st.sampled_from(["i2c_nack", "ina219_overflow", "ina219_reset"]), st.just({"count": 3})
-    ),
+    faults(["i2c_nack", "ina219_overflow", "ina219_reset"], count=st.just(3)),
 )
 PAPERS = st.builds(Gait, st.floats(0.01, 0.06), st.floats(0.2, 0.4), st.sampled_from([1, -1]))
 SHAPED = st.builds(

@@ -39,6 +39,15 @@ def stop(rig: Rig) -> None:
     rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), lifetime=math.inf)
 
 
+def left_contracted() -> Rig:
+    """Return a driver whose end left the robot contracted, with its torque on."""
+    rig = closing(0.3)
+    stop(rig)
+    ended(rig)
+    assert rig.contraction > 0.003
+    return rig
+
+
 @pytest.mark.parametrize("passed", [0.0, 0.3, 0.8])
 def test_a_stop_at_any_time_of_the_return_leaves_the_torque_on(passed):
     rig = closing(passed)
@@ -54,10 +63,7 @@ def test_a_stop_at_any_time_of_the_return_leaves_the_torque_on(passed):
 
 
 def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
-    rig = closing(0.3)
-    stop(rig)
-    ended(rig)
-    again = rig.restarted_driver()
+    again = left_contracted().restarted_driver()
     again.run(0.1)
     left = again.run(0.02).player.message
     assert "torque" in left
@@ -70,15 +76,6 @@ def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
     assert again.robot.release() == []
     assert again.contraction == pytest.approx(0.0, abs=1e-3)
     assert again.cable.memory["torque_enable"] == 0
-
-
-def left_contracted() -> Rig:
-    """Return a driver whose end left the robot contracted, with its torque on."""
-    rig = closing(0.3)
-    stop(rig)
-    ended(rig)
-    assert rig.contraction > 0.003
-    return rig
 
 
 def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contracted():

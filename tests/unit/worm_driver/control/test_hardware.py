@@ -77,29 +77,21 @@ def test_a_snapshot_that_is_read_at_once_does_not_end_the_loop(hardware):
     assert hardware.loop.alive, hardware.loop.failure
 
 
-class Adapter:
-    """Adapter with a latency timer of 16 ms, until the port is open and the driver has set a shorter one."""
-
-    def __init__(self, monkeypatch, afterwards: int) -> None:
-        self.timer = 16
-        self.afterwards = afterwards
-        self.set_up_port = BusPort.setupPort
-        monkeypatch.setattr(serial_port, "latency_timer_ms", lambda _: self.timer)
-        monkeypatch.setattr(BusPort, "setupPort", lambda port, baud: self.open(port, baud))
-
-    def open(self, port: BusPort, baud_rate: int) -> bool:
-        done = self.set_up_port(port, baud_rate)
-        self.timer = self.afterwards
-        return done
-
-
 @pytest.mark.parametrize(
     ("afterwards", "rate", "quiet_time"), [(1, 100.0, 0.004), (16, 20.0, 0.034)]
 )
 def test_the_latency_timer_counts_that_the_open_port_has(
     given, monkeypatch, afterwards, rate, quiet_time
 ):
-    Adapter(monkeypatch, afterwards)
+    """It is 16 ms until the port is open and the driver has set a shorter one."""
+    timers, set_up = [16], BusPort.setupPort
+
+    def opened(port: BusPort, baud_rate: int) -> bool:
+        timers.append(afterwards)
+        return set_up(port, baud_rate)
+
+    monkeypatch.setattr(serial_port, "latency_timer_ms", lambda _: timers[-1])
+    monkeypatch.setattr(BusPort, "setupPort", opened)
     hardware = Hardware(replace(given, rate=rate))
     assert hardware.robot.bus.port.quiet_time == pytest.approx(quiet_time)
     hardware.close("over")
