@@ -28,6 +28,7 @@ from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibrat
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import BusPort, ServoBus
 from worm_driver.servos.transmission import Fin, Spool
+from worm_driver.virtual_robot.servo.control_table import VirtualServoModel
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
@@ -417,6 +418,12 @@ class Rig:
         self.run(12.0, until=lambda s: s.player.phase is Phase.RUNNING)
         return self
 
+    def deactivate(self, longest: float = 10.0) -> None:
+        """Bring the cable to rest and switch the torque off."""
+        self.robot.ramp_to_rest(self.clock.now, "deactivated")
+        self.run(longest, until=lambda _: self.robot.released)
+        assert self.robot.release() == []
+
     def inject(self, name: str, **arguments: object) -> None:
         """Inject a fault of the virtual robot now."""
         self.advance(self.clock.now)
@@ -444,6 +451,19 @@ def robot_with_spools(spools: Sequence[Spool]) -> VirtualRobot:
 def two_spools(**changes: object) -> Rig:
     """Return a rig with two spools."""
     return Rig(settings(**spool_parameters(SPOOLS), **changes), robot_with_spools(SPOOLS))
+
+
+def rig_of_model(model: VirtualServoModel, **changes: object) -> Rig:
+    """Return a rig with one cable servo and fin servo 11 of a model at its voltage, and short rests."""
+    usual = installed_robot()
+    virtual = replace(
+        usual,
+        cable_servos=(replace(usual.cable_servos[0], model=model, spool_radius=0.01),),
+        fin_servos=(replace(usual.fin_servos[0], model=model),),
+        supply=replace(usual.supply, voltage=model.nominal_voltage),
+    )
+    one_each = spool_parameters([Spool(CABLE, 1, 0.01)]) | fin_parameters([Fin(11, 2.3562, 3.9270)])
+    return Rig(settings(QuickSettings, **one_each, **changes), VirtualRobot(virtual))
 
 
 def shaft_lengths(rig: Rig) -> list[float]:

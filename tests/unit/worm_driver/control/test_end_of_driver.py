@@ -70,10 +70,7 @@ def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
     assert told(left) == pytest.approx(again.contraction, abs=1e-4)
     again.robot.activate(again.clock.now)
     assert again.run(0.02).player.message == ""
-    again.robot.ramp_to_rest(again.clock.now, "deactivated")
-    while not again.robot.released:
-        again.run(0.01)
-    assert again.robot.release() == []
+    again.deactivate()
     assert again.contraction == pytest.approx(0.0, abs=1e-3)
     assert again.cable.memory["torque_enable"] == 0
 
@@ -89,9 +86,7 @@ def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contr
     assert rig.contraction == pytest.approx(held, abs=1e-4)
     again = rig.restarted_driver()
     again.robot.activate(again.clock.now)
-    again.robot.ramp_to_rest(again.clock.now, "deactivated")
-    again.run(10.0, until=lambda _: again.robot.released)
-    assert again.robot.release() == []
+    again.deactivate()
     assert rig.restarted_driver(other).robot.actuators.left_on == ""
 
 

@@ -54,9 +54,7 @@ def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, 
     rig = stopped(slow(speed), -0.03)
     longest = 2 * math.pi / 2 * 0.035 / min(speed, 0.05) + 2.0
     if deed == "deactivate":
-        rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-        rig.run(longest, until=lambda _: rig.robot.released)
-        assert rig.robot.release() == []
+        rig.deactivate(longest)
     else:
         rig.loop.shutdown("the driver ends")
         rig.run(longest, until=lambda _: rig.ended)
@@ -178,8 +176,7 @@ def test_neither_a_stop_nor_a_fault_changes_the_goal_of_a_cable_that_stands(leng
 def test_a_return_begins_at_the_goal_of_the_hold():
     rig = stopped(slow(0.12), -0.05)
     rig.goals.clear()
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(5.0, until=lambda _: rig.robot.released)
+    rig.deactivate(5.0)
     goals = [goal.ticks for goal in rig.goals if goal.servo == CABLE]
     ticks = rig.settings.spools[0].ticks(-0.05 * 0.0101)  # 10 ms at 50 mm/s
     assert all(0 <= a - b <= ticks for a, b in itertools.pairwise(goals))
@@ -218,8 +215,7 @@ def test_activation_holds_each_servo_where_it_is(distance):
     assert rig.robot.player.phase is Phase.IDLE
     assert shaft_lengths(rig) == pytest.approx(before, abs=3e-4)
     assert rig.bus.counters.withheld == 0
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(2.0, until=lambda _: rig.robot.released)
+    rig.deactivate(2.0)
     assert rig.contraction <= REST
 
 
@@ -279,8 +275,7 @@ def test_servos_that_hold_at_different_lengths_return_to_rest_together():
     rig.run(0.5)
     slowed(rig, 1, 0.12)
     rig.goals.clear()
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(5.0, until=lambda _: rig.robot.released)
+    rig.deactivate(5.0)
     assert rig.contraction <= REST
     for spool in rig.settings.spools:
         lengths = [spool.length_change(g.ticks) for g in rig.goals if g.servo == spool.servo]

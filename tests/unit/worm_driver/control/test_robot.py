@@ -7,21 +7,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from driver_rig import CABLE, Rig, fin_parameters, idle, moving, settings, spool_parameters
+from driver_rig import CABLE, Rig, idle, moving, rig_of_model, settings
 
 from worm_driver.driver_errors import BusError, ConfigurationError, HomingError, RejectedError
 from worm_driver.gait.gait_player import Ending, Phase
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.state_reader import SILENT
-from worm_driver.servos.transmission import Spool
 from worm_driver.virtual_robot.servo.control_table import (
     XL330_M288,
     XL430_W250,
     XM430_W350,
-    VirtualServoModel,
 )
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_msgs.gait import Gait
 
 #: s, in which motion must have stopped after a fault that endangers the robot
@@ -435,56 +431,31 @@ def test_an_alert_is_ended_by_a_reboot_on_request_only():
 # --- other robots ---------------------------------------------------------------------------------
 
 
-def other_robot(models: dict[int, VirtualServoModel], voltage: float) -> VirtualRobot:
-    """Return a virtual robot with cable servos of these models by id instead of its own."""
-    usual = load_settings(None)
-    (cable,) = usual.cable_servos
-    return VirtualRobot(
-        replace(
-            usual,
-            cable_servos=tuple(
-                replace(cable, id=number, model=model, spool_radius=0.01)
-                for number, model in models.items()
-            ),
-            fin_servos=(),
-            supply=replace(usual.supply, voltage=voltage),
-        )
-    )
-
-
-#: parameters of a driver with one cable servo and no fins
-ONE_SERVO = spool_parameters([Spool(3, 1, 0.01)]) | fin_parameters([])
-
-
-@pytest.mark.parametrize(
-    ("model", "voltage", "current", "raw"),
-    [(XL330_M288, 5.0, 5.0, 1750), (XM430_W350, 12.0, 5.0, 1193)],
-)
-def test_no_limit_of_the_output_is_above_the_maximum_of_the_model(model, voltage, current, raw):
-    rig = Rig(settings(**ONE_SERVO, max_servo_current=current), other_robot({3: model}, voltage))
+@pytest.mark.parametrize(("model", "raw"), [(XL330_M288, 1750), (XM430_W350, 1193)])
+def test_no_limit_of_the_output_is_above_the_maximum_of_the_model(model, raw):
+    rig = rig_of_model(model, max_servo_current=5.0)
     rig.activate()
     assert rig.cable.memory["current_limit"] == raw
 
 
 @pytest.mark.parametrize(
-    ("model", "voltage", "limits", "register", "raw"),
+    ("model", "limits", "register", "raw"),
     [
-        (XL330_M288, 5.0, {"max_servo_current": 1.0}, "current_limit", 1100),  # 1 mA
-        (XL430_W250, 12.0, {"max_servo_load": 0.6}, "goal_pwm", 584),  # 0.113 %
-        (XM430_W350, 12.0, {"max_servo_current": 1.5}, "current_limit", 613),  # 2.69 mA
+        (XL330_M288, {"max_servo_current": 1.0}, "current_limit", 1100),  # 1 mA
+        (XL430_W250, {"max_servo_load": 0.6}, "goal_pwm", 584),  # 0.113 %
+        (XM430_W350, {"max_servo_current": 1.5}, "current_limit", 613),  # 2.69 mA
     ],
 )
 def test_each_model_limits_its_output_a_little_above_the_level_of_a_fault(
-    model, voltage, limits, register, raw
+    model, limits, register, raw
 ):
     """The cable is blocked. Only the servo's effort may show this, in time before the servo overheats."""
-    given = settings(**ONE_SERVO, **limits, max_following_error=1.0)
-    rig = Rig(given, other_robot({3: model}, voltage)).play(0.02, 0.2, cycles=2)
+    rig = rig_of_model(model, **limits, max_following_error=1.0).play(0.02, 0.2, cycles=2)
     assert rig.cable.memory[register] == raw
     rig.run(1.0)
-    rig.inject("stalled", target=3, duration=10.0)
+    rig.inject("stalled", target=CABLE, duration=10.0)
     fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
-    assert "servo 3 is beyond its limit" in fault.player.message
+    assert "servo 1 is beyond its limit" in fault.player.message
     assert not rig.cable.memory["hardware_error_status"]
 
 
