@@ -27,8 +27,9 @@ from worm_driver.power.i2c import I2CDevice
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import BusPort, ServoBus
-from worm_driver.servos.transmission import Fin, Spool
+from worm_driver.servos.transmission import Spool
 from worm_driver.virtual_robot.servo.control_table import VirtualServoModel
+from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
@@ -210,7 +211,9 @@ def settings(kind: type[DriverSettings] = DriverSettings, **changes: object) -> 
         real_time_priority=0,
         home_at_start=True,
         **spool_parameters([Spool(CABLE, 1, 0.025)]),
-        **fin_parameters([Fin(11, 2.3562, 3.9270), Fin(12, 2.3562, 3.9270)]),
+        fin_ids=(11, 12),
+        forward_angles=(2.3562, 2.3562),
+        reverse_angles=(3.9270, 3.9270),
     )
     return replace(given, **changes)
 
@@ -219,13 +222,6 @@ def spool_parameters(spools: Sequence[Spool]) -> dict[str, tuple[float, ...]]:
     """Return the parameters of the driver with these spools."""
     columns = zip(*((spool.servo, spool.sign, spool.radius) for spool in spools), strict=True)
     return dict(zip(("cable_ids", "cable_signs", "spool_radii"), columns, strict=True))
-
-
-def fin_parameters(fins: Sequence[Fin]) -> dict[str, tuple[float, ...]]:
-    """Return the parameters of the driver with these fins."""
-    rows = [(fin.servo, fin.forward_angle, fin.reverse_angle) for fin in fins]
-    columns = zip(*rows, strict=True) if rows else [()] * 3
-    return dict(zip(("fin_ids", "forward_angles", "reverse_angles"), columns, strict=True))
 
 
 @dataclass(frozen=True)
@@ -462,8 +458,15 @@ def rig_of_model(model: VirtualServoModel, **changes: object) -> Rig:
         fin_servos=(replace(usual.fin_servos[0], model=model),),
         supply=replace(usual.supply, voltage=model.nominal_voltage),
     )
-    one_each = spool_parameters([Spool(CABLE, 1, 0.01)]) | fin_parameters([Fin(11, 2.3562, 3.9270)])
-    return Rig(settings(QuickSettings, **one_each, **changes), VirtualRobot(virtual))
+    one_fin = {"fin_ids": (11,), "forward_angles": (2.3562,), "reverse_angles": (3.9270,)}
+    given = settings(QuickSettings, spool_radii=(0.01,), **one_fin, **changes)
+    return Rig(given, VirtualRobot(virtual))
+
+
+def slow_down(servo: Servo, speed: float) -> None:
+    """Let another program limit the speed (m/s) of a cable servo, until the next activation."""
+    row = servo.model.registers["profile_velocity"]
+    servo.write(row.address, row.pack(max(1, round(speed / 0.025 / (0.229 * math.tau / 60)))))
 
 
 def shaft_lengths(rig: Rig) -> list[float]:

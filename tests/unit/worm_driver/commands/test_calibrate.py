@@ -70,9 +70,22 @@ class Bench(Line):
         self.start = self.robot.servos[0].shaft.position
         self.decision = "r"
         self.interrupted_at: str | None = None
+        self.released_at: list[float] = []
+        self.unarmed: list[int] = []
         self.output: list[str] = []
         self.questions: list[str] = []
         self.calibration = Calibration(self.bus, self.answer, self.output.append, self.wait)
+
+    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        """Note the wound length (m) at each loss of the cable's torque, and the servos without a watchdog."""
+        torque, wound = self.torque, self.wound
+        answers = super()._answer(data, now)
+        if torque and not self.torque:
+            self.released_at.append(wound)
+        for servo in self.robot.servos:
+            if servo.memory["torque_enable"] and servo.memory["bus_watchdog"] <= 0:
+                self.unarmed.append(servo.servo_id)
+        return answers
 
     def wait(self, duration: float) -> None:
         self.clock.now += duration
@@ -130,16 +143,14 @@ def test_several_turns_of_a_small_spool_are_measured():
 def test_a_cancelled_conversation_returns_the_cable_before_it_releases_it():
     bench = Bench()
     bench.interrupted_at = "reading 3"
-    released_at = watch_release(bench)
     with pytest.raises(KeyboardInterrupt):
         calibrate(bench.calibration, turns=0.3)
-    assert released_at == [pytest.approx(0.0, abs=1e-3)]  # a loaded servo yields by less
+    assert bench.released_at == [pytest.approx(0.0, abs=1e-3)]  # a loaded servo yields by less
 
 
 def test_a_second_interrupt_releases_a_contracted_robot_at_once():
     bench = Bench()
     bench.interrupted_at = "reading 3"
-    released_at = watch_release(bench)
 
     def interrupt(_: float) -> None:
         if any("Ctrl-C" in line for line in bench.output):
@@ -149,7 +160,7 @@ def test_a_second_interrupt_releases_a_contracted_robot_at_once():
     bench.calibration._wait = interrupt
     with pytest.raises(KeyboardInterrupt):
         calibrate(bench.calibration, turns=0.3)
-    assert released_at[0] > 0.02
+    assert bench.released_at[0] > 0.02
     assert not bench.torque
 
 
@@ -185,45 +196,15 @@ def test_the_operator_decides_on_a_torque_that_another_program_left_on(decision,
     assert bench.torque == torque
 
 
-def watch_release(bench: Bench) -> list[float]:
-    """Return a list to which the wound length (m) is appended whenever the torque of the cable servo goes off."""
-    lengths: list[float] = []
-    write = bench.port.writePort
-
-    def watched(packet) -> int:
-        before = bench.torque
-        wound = bench.wound
-        sent = write(packet)
-        if before and not bench.torque:
-            lengths.append(wound)
-        return sent
-
-    bench.port.writePort = watched
-    return lengths
-
-
 @pytest.mark.parametrize("garbled", [0, 2])
 def test_a_conversation_that_is_killed_with_the_torque_on_leaves_it_to_the_watchdog(
     garbled, monkeypatch
 ):
     """Whichever packet is the last one, no servo has its torque on without a watchdog."""
-    unarmed: list[int] = []
     bench = Bench()
     lose_answers(bench, monkeypatch, garbled)
-    write = bench.port.writePort
-
-    def watched(packet) -> int:
-        sent = write(packet)
-        unarmed.extend(
-            servo.servo_id
-            for servo in bench.robot.servos
-            if servo.memory["torque_enable"] and servo.memory["bus_watchdog"] <= 0
-        )
-        return sent
-
-    bench.port.writePort = watched
     calibrate(bench.calibration, turns=0.3)
-    assert unarmed == []
+    assert bench.unarmed == []
 
 
 class Killed(Exception):
@@ -285,10 +266,9 @@ def test_a_person_may_give_up_after_a_garbled_answer(monkeypatch):
     bench = Bench()
     bench.decision = "g"
     lose_answers(bench, monkeypatch, 1)
-    released_at = watch_release(bench)
     with pytest.raises(CorruptReplyError):
         calibrate(bench.calibration, turns=0.3)
-    assert released_at == [pytest.approx(0.0, abs=5e-4)]
+    assert bench.released_at == [pytest.approx(0.0, abs=5e-4)]
 
 
 def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):

@@ -26,12 +26,10 @@ class NotingRobot:
         self.active = False
         self.closing = False
         self.until_rest = 5
-        self.springs_back = False
         self.releasing = ""
         self.releases = 0
         self.threads: set[str] = set()
         self.failure: Exception | None = None
-        self.busy = threading.Event()
 
     def cycle(self, now: float) -> float:
         self.cycles += 1
@@ -49,7 +47,7 @@ class NotingRobot:
         return bool(self.releasing) and self.until_rest <= 0
 
     def shutdown(self) -> list[str]:
-        return ["the torque stays on"] if self.springs_back else self.release()
+        return self.release()
 
     def release(self) -> list[str]:
         self.releases += 1

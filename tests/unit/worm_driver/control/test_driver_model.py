@@ -16,6 +16,7 @@ from driver_rig import (
     robot_with_spools,
     settings,
     shaft_lengths,
+    slow_down,
     spool_parameters,
 )
 from hypothesis import HealthCheck, Phase, seed
@@ -305,10 +306,7 @@ class Life(RuleBasedStateMachine):
     @rule(index=st.integers(0, 1), share=st.floats(0.02, 1.0), cycles=st.integers(0, 60))
     def servo_is_slowed(self, index: int, share: float, cycles: int) -> None:
         """Let another program reduce the speed of a cable servo, until the next activation."""
-        speed = share * self.given.max_cable_speed
-        servo = self.cables[index % len(self.cables)]
-        servo.memory["profile_velocity"] = max(1, round(speed / 0.025 / (0.229 * math.tau / 60)))
-        servo._update_command()
+        slow_down(self.cables[index % len(self.cables)], share * self.given.max_cable_speed)
         self.time_passes(cycles)
 
     @precondition(lambda self: self.alive)
@@ -485,12 +483,12 @@ class Life(RuleBasedStateMachine):
 
     @invariant()
     def torque_is_off_or_the_watchdog_armed_or_expired(self) -> None:
-        for servo in getattr(self, "virtual", None).servos if hasattr(self, "virtual") else ():
+        for servo in self.virtual.servos:
             assert not servo.memory["torque_enable"] or servo.memory["bus_watchdog"] != 0
 
     @invariant()
     def no_goal_lies_beyond_the_range(self) -> None:
-        if not getattr(self, "alive", False) or not self.rig.robot.active:
+        if not self.alive or not self.rig.robot.active:
             return
         for spool, cable in zip(self.given.spools, self.cables, strict=True):
             if cable.memory["torque_enable"] and self.rig.robot.actuators.homed:
@@ -499,7 +497,7 @@ class Life(RuleBasedStateMachine):
 
     @invariant()
     def every_goal_but_the_last_has_its_result(self) -> None:
-        if getattr(self, "alive", False) and self.goals:
+        if self.alive and self.goals:
             run = self.rig.robot.player.run
             assert run is not None
             assert run.number == self.goals[-1]

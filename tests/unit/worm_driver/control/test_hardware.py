@@ -47,13 +47,6 @@ def hardware(given) -> Iterator[Hardware]:
     hardware.close("the test is over")
 
 
-def test_no_snapshot_and_no_sample_is_ever_dropped(hardware):
-    """While no thread reads them, all of them are queued in order."""
-    wait_for(lambda: len(hardware.snapshots) >= 150 and len(hardware.samples) >= 150)
-    for waiting in ([s.read_time for s in hardware.snapshots], [s.time for s in hardware.samples]):
-        assert waiting == sorted(set(waiting))
-
-
 def test_a_robot_without_a_reader_is_held(hardware, monkeypatch):
     monkeypatch.setattr(hardware_module, "_LISTENING_TIMEOUT", math.inf)
     hardware.loop.run(hardware.robot.activate)

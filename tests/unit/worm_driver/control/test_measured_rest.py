@@ -6,7 +6,7 @@ import math
 import re
 
 import pytest
-from driver_rig import CABLE, Rig, idle, moving, settings, shaft_lengths, two_spools
+from driver_rig import CABLE, Rig, idle, moving, settings, shaft_lengths, slow_down, two_spools
 
 from worm_driver.driver_errors import HomingError
 from worm_driver.gait.gait_player import Phase
@@ -36,13 +36,6 @@ def slow(speed: float, **changes: object) -> Rig:
     return rig
 
 
-def slowed(rig: Rig, index: int, speed: float) -> None:
-    """Let another program limit the speed (m/s) of a cable servo."""
-    servo = rig.virtual.servos[index]
-    row = servo.model.registers["profile_velocity"]
-    servo.write(row.address, row.pack(round(speed / 0.025 / (0.229 * math.tau / 60))))
-
-
 # --- rest ------------------------------------------------------------------------------------------
 
 
@@ -67,7 +60,7 @@ def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, 
 
 def test_a_run_begins_at_measured_rest():
     rig = stopped(slow(0.02), -0.03)
-    slowed(rig, 0, 0.015)
+    slow_down(rig.virtual.servos[0], 0.015)
     rig.start(0.02, 0.1, cycles=1)
     rig.run(20.0, until=lambda s: s.player.phase is Phase.FLIPPING)
     assert rig.contraction <= REST
@@ -76,7 +69,7 @@ def test_a_run_begins_at_measured_rest():
 def held_back(rate: float = 100.0) -> Rig:
     """Return a rig in FAULT: its servo was too slow for a short return to rest."""
     rig = stopped(slow(0.12, rate=rate), -0.01)
-    slowed(rig, 0, 0.0012)
+    slow_down(rig.virtual.servos[0], 0.0012)
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(2.0, until=lambda s: s.player.phase is not Phase.RETURNING)
     assert rig.robot.player.phase is Phase.FAULT
@@ -235,7 +228,7 @@ def test_activation_rejects_cables_that_differ(distance):
 @pytest.mark.parametrize("index", [0, 1])
 def test_one_lagging_servo_is_a_fault_of_this_servo(index):
     rig = two_spools().play(0.06, 0.3)
-    slowed(rig, index, 0.006)
+    slow_down(rig.virtual.servos[index], 0.006)
     rig.run(8.0, until=lambda s: s.player.phase is Phase.FAULT)
     assert f"the cable of servo {index + 1} is" in rig.robot.player.message
     lengths = shaft_lengths(rig)
@@ -245,7 +238,7 @@ def test_one_lagging_servo_is_a_fault_of_this_servo(index):
 def lagging(index: int, lag: float) -> Rig:
     """Return a driver of two spools in a gait, one of which lags behind the other one by a length (m)."""
     rig = two_spools().play(0.06, 0.3)
-    slowed(rig, index, 0.006)
+    slow_down(rig.virtual.servos[index], 0.006)
     rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > lag)
     rig.robot.stop(rig.clock.now, "stop")
     return rig
@@ -273,7 +266,7 @@ def test_after_a_stop_each_servo_holds_where_it_is(index, lag):
 def test_servos_that_hold_at_different_lengths_return_to_rest_together():
     rig = lagging(1, 0.010)
     rig.run(0.5)
-    slowed(rig, 1, 0.12)
+    slow_down(rig.virtual.servos[1], 0.12)
     rig.goals.clear()
     rig.deactivate(5.0)
     assert rig.contraction <= REST

@@ -57,16 +57,14 @@ def test_each_failure_to_open_has_its_remedy(tmp_path, terminal):
     assert "bad fd" in explain(terminal, OSError(errno.EBADF, "bad fd"))
 
 
-def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with_the_remedy(
-    tmp_path,
+@pytest.mark.parametrize(
+    ("name", "expected"), [("notes.txt", "a file, not a device"), (".", "a folder")]
+)
+def test_what_is_no_port_is_rejected_before_it_is_opened_in_one_line_with_the_remedy(
+    tmp_path, name, expected
 ):
     (tmp_path / "notes.txt").touch()
-    found = {
-        str(tmp_path / "notes.txt"): "a file, not a device",
-        str(tmp_path): "a folder",
-    }
-    for port, expected in found.items():
-        with pytest.raises(ConfigurationError, match=expected) as rejected:
-            ServoBus.open(port, 1_000_000)
-        assert "set the parameter port" in str(rejected.value)
-        assert "\n" not in str(rejected.value)
+    with pytest.raises(ConfigurationError, match=expected) as rejected:
+        ServoBus.open(str(tmp_path / name), 1_000_000)
+    assert "set the parameter port" in str(rejected.value)
+    assert "\n" not in str(rejected.value)
