@@ -129,23 +129,6 @@ def test_a_stop_does_not_claim_that_a_torque_is_off_that_may_be_on(cause):
 # --- gaits ----------------------------------------------------------------------------------------
 
 
-def test_a_gait_is_played_as_commanded_and_ends_at_rest(rig):
-    rig.play(0.06, 0.4, cycles=2)
-    begin = len(rig.snapshots)
-    end = rig.run(8.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
-    played = rig.snapshots[begin:]
-    onset = end.player.run.onset
-    for snapshot in played[:-1]:
-        time = snapshot.command_time - onset
-        wanted = -0.03 * (1 - math.cos(2 * math.pi * 0.4 * time))
-        assert snapshot.commanded == pytest.approx(wanted, abs=1e-9)
-        assert snapshot.cable == pytest.approx(snapshot.commanded, abs=6e-3)
-    assert (
-        -0.06 < min(snapshot.cable for snapshot in played) < -0.057
-    )  # the servo yields to the load
-    assert end.commanded == 0.0
-
-
 def test_a_gait_while_inactive_is_rejected(rig):
     with pytest.raises(RejectedError, match="activate the driver first"):
         rig.start()
@@ -464,26 +447,30 @@ def test_each_model_limits_its_output_a_little_above_the_level_of_a_fault(
 SHAPED = {"pretension": 0.012, "contraction_share": 0.6, "profile": 1, "ramp_share": 0.2}
 
 
-def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released():
+@pytest.mark.parametrize("waveform", [{"pretension": 0.0}, SHAPED], ids=["paper", "shaped"])
+def test_a_gait_is_played_as_commanded_and_ends_released(waveform):
     """The speeds of all gaits are in test_gait_player.py."""
-    rig = idle()
+    rig, pretension = idle(), waveform["pretension"]
     rig.goals.clear()
-    rig.play(0.06, 0.4, 2, **SHAPED)
-    assert rig.snapshots[-1].cable == pytest.approx(-0.012, abs=1e-3)
-    rig.run(20.0, until=lambda s: s.player.run.ending is not None)
-    run = rig.robot.player.run
+    rig.play(0.06, 0.4, 2, **waveform)
+    assert rig.snapshots[-1].cable == pytest.approx(-pretension, abs=1e-3)
+    end = rig.run(20.0, until=lambda s: s.player.run.ending is not None)
+    run = end.player.run
     assert run.ending is Ending.COMPLETED
-    assert rig.snapshots[-1].commanded == -0.012
+    assert end.commanded == -pretension
     rig.run(5.0, until=lambda s: s.player.phase is Phase.IDLE)
     rig.run(0.3)
     assert rig.snapshots[-1].cable == pytest.approx(0.0, abs=5e-4)
     spool = rig.settings.spools[0]
     goals = [spool.length_change(goal.ticks) for goal in rig.goals if goal.servo == CABLE]
-    assert (min(goals), max(goals)) == pytest.approx((-0.072, 0.0), abs=1e-4)
+    assert (min(goals), max(goals)) == pytest.approx((-0.06 - pretension, 0.0), abs=1e-4)
     played = [s for s in rig.snapshots if run.onset <= s.command_time < run.end]
     assert len(played) >= 490
     wanted = [run.gait.length_change(snapshot.command_time - run.onset) for snapshot in played]
-    assert [snapshot.commanded for snapshot in played] == pytest.approx(wanted, abs=1e-12)
+    assert [snapshot.commanded for snapshot in played] == pytest.approx(wanted, abs=1e-9)
+    cable = [snapshot.cable for snapshot in played]
+    assert cable == pytest.approx(wanted, abs=6e-3)
+    assert -0.06 < min(cable) + pretension < -0.057  # the servo yields to the load
 
 
 def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
