@@ -1,33 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs before a rendered camera: images of known positions, and the tracker's results for them."""
+"""The setup of a rig before a rendered camera, and the corners of its markers by an independent computation."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rendered_images import CameraSettings, RenderedCamera, axes_of
+from rendered_images import CameraSettings, axes_of
 
 from worm_driver.tracking.camera_model import CameraModel
-from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker, TrackerSetup
-from worm_driver.tracking.vision import Detection, MarkerDetector
+from worm_driver.tracking.vision import Detection
 
 Array = NDArray[np.float64]
 SETTINGS = CameraSettings()
 SETUP_FILE = Path(__file__).with_name("tracker.yaml")  # the same rig, as the tracker reads it
 LENGTH = 0.2952
-RIDGES = 5
-PITCH = 0.0173
-
-
-def looking_at(settings: CameraSettings, place: tuple[float, float, float]) -> CameraSettings:
-    """Return a camera whose image width shows 0.6 m of the pipe around a point."""
-    distance = 0.6 * settings.focal / settings.width / math.cos(settings.yaw)
-    x, y, z = np.array(place) - distance * axes_of(settings)[2]
-    return replace(settings, position=(float(x), float(y), float(z)))
 
 
 def model_of(settings: CameraSettings) -> CameraModel:
@@ -49,45 +38,6 @@ def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
         camera_info=str(SETUP_FILE.with_name("camera_info.yaml")),
     )
     return replace(setup, **changes)  # type: ignore[arg-type]
-
-
-def crawling(time: float) -> tuple[float, float]:
-    """Return x1 and x2 (m) of a worm that gains five ridges in 12.5 s: a stroke of 70 mm at 0.2 Hz."""
-    length = LENGTH - 0.035 * (1.0 - math.cos(2.0 * math.pi * 0.2 * time))
-    rear = RIDGES * PITCH * time / 12.5 + 0.008 * math.sin(2.0 * math.pi * 0.2 * time)
-    return rear, rear + length
-
-
-@dataclass(frozen=True)
-class VideoSource:
-    """True positions (m), shape (images, 2), and the tracker's results."""
-
-    truth: Array
-    samples: list[TrackedPositions]
-
-    @property
-    def errors(self) -> Array:
-        """Return measured minus true positions (m), shape (images, 2); NaN while hidden."""
-        return np.array([[s.rear, s.front] for s in self.samples]) - self.truth
-
-
-def video(
-    settings: CameraSettings,
-    times: Array,
-    motion: Callable[[float], tuple[float, float]] = crawling,
-    setup: TrackerSetup | None = None,
-    seed: int = 1,
-) -> VideoSource:
-    """Return images of a motion, each blurred over its exposure, and the tracker's results."""
-    camera = RenderedCamera(settings, seed)
-    tracker = Tracker(setup or setup_of(settings))
-    detector = MarkerDetector(tracker.setup.dictionary)
-    truth, samples = [], []
-    for time in times:
-        image = camera.moving_image(motion, float(time))
-        samples.append(tracker.see(detector.detect(image), float(time)))
-        truth.append(motion(float(time)))
-    return VideoSource(np.array(truth), samples)
 
 
 class PaperCamera:

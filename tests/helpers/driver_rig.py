@@ -21,14 +21,15 @@ from worm_driver.clock import Traffic
 from worm_driver.control.control_loop import ControlLoop
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import CycleSnapshot, Robot
-from worm_driver.driver_errors import BusError
 from worm_driver.gait.gait_player import Phase, PlayerSettings
 from worm_driver.power import socket_smbus as frames
 from worm_driver.power.i2c import I2CDevice
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import BusPort, ServoBus
-from worm_driver.servos.transmission import Fin, Spool
+from worm_driver.servos.transmission import Spool
+from worm_driver.virtual_robot.servo.control_table import VirtualServoModel
+from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
@@ -58,6 +59,9 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
+
+    def sleep_until(self, due: float) -> None:
+        self.now = max(self.now, due)
 
     def close(self) -> None:
         return None
@@ -143,11 +147,11 @@ class SimulatedPort(BusPort):
 
 
 class Line:
-    """Bus with the servos of the installed virtual robot, on a clock of its own."""
+    """Bus with the servos of a virtual robot, by default the installed one, on a clock of its own."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot: VirtualRobot | None = None) -> None:
         self.clock = Clock()
-        self.robot = VirtualRobot(installed_robot())
+        self.robot = robot or VirtualRobot(installed_robot())
         self.wire = Wire(self.clock, self._answer)
         self.port = SimulatedPort(self.wire, self.clock)
         self.bus = ServoBus(self.port)
@@ -207,7 +211,9 @@ def settings(kind: type[DriverSettings] = DriverSettings, **changes: object) -> 
         real_time_priority=0,
         home_at_start=True,
         **spool_parameters([Spool(CABLE, 1, 0.025)]),
-        **fin_parameters([Fin(11, 2.3562, 3.9270), Fin(12, 2.3562, 3.9270)]),
+        fin_ids=(11, 12),
+        forward_angles=(2.3562, 2.3562),
+        reverse_angles=(3.9270, 3.9270),
     )
     return replace(given, **changes)
 
@@ -216,13 +222,6 @@ def spool_parameters(spools: Sequence[Spool]) -> dict[str, tuple[float, ...]]:
     """Return the parameters of the driver with these spools."""
     columns = zip(*((spool.servo, spool.sign, spool.radius) for spool in spools), strict=True)
     return dict(zip(("cable_ids", "cable_signs", "spool_radii"), columns, strict=True))
-
-
-def fin_parameters(fins: Sequence[Fin]) -> dict[str, tuple[float, ...]]:
-    """Return the parameters of the driver with these fins."""
-    rows = [(fin.servo, fin.forward_angle, fin.reverse_angle) for fin in fins]
-    columns = zip(*rows, strict=True) if rows else [()] * 3
-    return dict(zip(("fin_ids", "forward_angles", "reverse_angles"), columns, strict=True))
 
 
 @dataclass(frozen=True)
@@ -415,6 +414,12 @@ class Rig:
         self.run(12.0, until=lambda s: s.player.phase is Phase.RUNNING)
         return self
 
+    def deactivate(self, longest: float = 10.0) -> None:
+        """Bring the cable to rest and switch the torque off."""
+        self.robot.ramp_to_rest(self.clock.now, "deactivated")
+        self.run(longest, until=lambda _: self.robot.released)
+        assert self.robot.release() == []
+
     def inject(self, name: str, **arguments: object) -> None:
         """Inject a fault of the virtual robot now."""
         self.advance(self.clock.now)
@@ -442,6 +447,26 @@ def robot_with_spools(spools: Sequence[Spool]) -> VirtualRobot:
 def two_spools(**changes: object) -> Rig:
     """Return a rig with two spools."""
     return Rig(settings(**spool_parameters(SPOOLS), **changes), robot_with_spools(SPOOLS))
+
+
+def rig_of_model(model: VirtualServoModel, **changes: object) -> Rig:
+    """Return a rig with one cable servo and fin servo 11 of a model at its voltage, and short rests."""
+    usual = installed_robot()
+    virtual = replace(
+        usual,
+        cable_servos=(replace(usual.cable_servos[0], model=model, spool_radius=0.01),),
+        fin_servos=(replace(usual.fin_servos[0], model=model),),
+        supply=replace(usual.supply, voltage=model.nominal_voltage),
+    )
+    one_fin = {"fin_ids": (11,), "forward_angles": (2.3562,), "reverse_angles": (3.9270,)}
+    given = settings(QuickSettings, spool_radii=(0.01,), **one_fin, **changes)
+    return Rig(given, VirtualRobot(virtual))
+
+
+def slow_down(servo: Servo, speed: float) -> None:
+    """Let another program limit the speed (m/s) of a cable servo, until the next activation."""
+    row = servo.model.registers["profile_velocity"]
+    servo.write(row.address, row.pack(max(1, round(speed / 0.025 / (0.229 * math.tau / 60)))))
 
 
 def shaft_lengths(rig: Rig) -> list[float]:
@@ -477,12 +502,3 @@ def idle() -> Rig:
 def moving() -> Rig:
     """Return a rig of its own in a gait, at full speed."""
     return _moving().copy()
-
-
-def silent(bus: ServoBus, servo: int) -> bool:
-    """Return True if a servo does not answer a ping."""
-    try:
-        bus.ping(servo)
-    except BusError:
-        return True
-    return False

@@ -26,6 +26,11 @@ OPTIMIZE, CAMPAIGN, REPORT, STUDY, TUNE = (
     f"worm_optimizer.commands.{name}"
     for name in ("optimize", "campaign", "report", "study", "tune")
 )
+CALIBRATE, CHECK, SETUP_SERVO = (
+    f"worm_driver.commands.{name}" for name in ("calibrate", "check", "setup_servo")
+)
+TRACK = "worm_driver.commands.track"
+IMAGES = f"--images . --setup {SETUP_FILE}"
 BAD = [
     (EVALUATE, "--stroke 0.07 --frequency -0.2", "frequency: -0.2 Hz"),
     (EVALUATE, "--stroke nan --frequency 0.2", "--stroke"),
@@ -103,6 +108,21 @@ BAD = [
     (TUNE, f"{FORWARD} {REVERSE}", "both directions"),
     (TUNE, FAULTS, "not measured"),
     (TUNE, "nowhere", "nowhere"),
+    ("worm_driver.commands.bench_tests", "tests --parameters none.yaml", "none.yaml: "),
+    (CALIBRATE, "gaits.csv", "already exists"),
+    (CALIBRATE, "no/folder.yaml", "its folder does not exist"),
+    (CALIBRATE, "new.yaml --turns nan", "--turns"),
+    (CHECK, "misspelt.yaml", "port"),
+    (CHECK, "twins.yaml", "two servos"),
+    (CHECK, "--camera /dev/video0", "--setup"),
+    (SETUP_SERVO, "253", "253"),
+    (SETUP_SERVO, "x", "'x'"),
+    (SETUP_SERVO, "", "required"),
+    (SETUP_SERVO, "1 --baud-rate 5", "--baud-rate"),
+    (TRACK, IMAGES, "required: --output"),
+    (TRACK, f"{IMAGES} --output gaits.csv", "already exists"),
+    (TRACK, f"{IMAGES} --output none/out.csv", "create it first"),
+    (TRACK, f"{IMAGES} --output out.csv --setup none.yaml", "none.yaml: "),
 ]
 
 # with ROS
@@ -179,6 +199,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "bad.yaml").write_text("rear_mas: 1\n")
     (made / "gaits.csv").write_text("stroke_m,frequency_Hz\n0.07,0.2\n")
     (made / "s.yaml").write_text(SMALL)
+    for name, wrong in {"misspelt": "prot: x", "twins": "fin_servos: {ids: [1, 2]}"}.items():
+        text = f"/**/driver: {{ros__parameters: {{{wrong}}}}}\n"
+        (made / f"{name}.yaml").write_text(text)
     for name in ("begun/promised.json", "complete/promised.json", "complete/report/report.html"):
         (made / name).parent.mkdir(parents=True, exist_ok=True)
         (made / name).touch()

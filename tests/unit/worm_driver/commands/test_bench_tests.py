@@ -7,35 +7,22 @@ from pathlib import Path
 import pytest
 
 from worm_driver.commands import bench_tests
-from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
+from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.identification import bellows, fin
 from worm_model.identification.inputs import read_bench_test
 
 
-def test_the_files_hold_what_is_true_of_the_robot(tmp_path: Path):
+def test_the_files_hold_what_is_true_of_the_robot_and_are_not_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+):
     assert bench_tests.main([str(tmp_path), "--seed", "3"]) == 0
     truth = replace(load_settings(), seed=3).true_body
     stiffness = bellows.fit_bellows(*columns(tmp_path / "bellows.csv", bellows.COLUMNS)).stiffness
     assert stiffness.value == pytest.approx(truth.bellows_stiffness, rel=0.02)
     fitted = fin.fit_fin(*columns(tmp_path / "fin.csv", fin.COLUMNS))
     assert fitted.engaged_stiffness.value == pytest.approx(truth.engaged_stiffness, rel=0.05)
-
-
-def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture):
-    assert bench_tests.main([str(tmp_path)]) == 0
     assert bench_tests.main([str(tmp_path)]) == 2
     assert "exists already" in capsys.readouterr().err
-
-
-def test_a_wrong_file_of_the_robot_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture):
-    wrong = tmp_path / "robot.yaml"
-    text = DEFAULT_FILE.read_text(encoding="utf-8")
-    assert "  rate_Hz: 30.0" in text
-    wrong.write_text(text.replace("  rate_Hz: 30.0", "  rate_Hz: 0.0"), encoding="utf-8")
-    assert bench_tests.main([str(tmp_path / "tests"), "--parameters", str(wrong)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert str(wrong) in line
-    assert "rate_Hz" in line
 
 
 def columns(path: Path, names: tuple[str, str]):

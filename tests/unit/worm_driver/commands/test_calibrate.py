@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from driver_rig import Clock, Rig, SimulatedPort, Wire, settings
+from driver_rig import Clock, Line, Rig, SimulatedPort, Wire, installed_robot, settings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,8 +21,6 @@ from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import load_settings
-from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction
 
 
@@ -60,26 +58,34 @@ def test_the_file_is_one_that_ros_reads():
     }
 
 
-class Bench:
+class Bench(Line):
     """The virtual robot, and an operator with a ruler who answers with its true length."""
 
     def __init__(self, spool_radius: float = 0.025) -> None:
-        self.clock = Clock()
-        given = load_settings(None)
+        (cable,) = installed_robot().cable_servos
+        cables = (replace(cable, spool_radius=spool_radius),)
+        super().__init__(VirtualRobot(replace(installed_robot(), cable_servos=cables)))
+        self.bus.retries = 0
         self.radius = spool_radius
-        cables = [replace(item, spool_radius=spool_radius) for item in given.cable_servos]
-        self.robot = VirtualRobot(replace(given, cable_servos=tuple(cables)))
-        wire = Wire(
-            self.clock, lambda data, now: [(t.time, t.data) for t in self.robot.receive(data, now)]
-        )
-        self.port = SimulatedPort(wire, self.clock)
-        self.bus = ServoBus(self.port, retries=0)
         self.start = self.robot.servos[0].shaft.position
         self.decision = "r"
         self.interrupted_at: str | None = None
+        self.released_at: list[float] = []
+        self.unarmed: list[int] = []
         self.output: list[str] = []
         self.questions: list[str] = []
         self.calibration = Calibration(self.bus, self.answer, self.output.append, self.wait)
+
+    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        """Note the wound length (m) at each loss of the cable's torque, and the servos without a watchdog."""
+        torque, wound = self.torque, self.wound
+        answers = super()._answer(data, now)
+        if torque and not self.torque:
+            self.released_at.append(wound)
+        for servo in self.robot.servos:
+            if servo.memory["torque_enable"] and servo.memory["bus_watchdog"] <= 0:
+                self.unarmed.append(servo.servo_id)
+        return answers
 
     def wait(self, duration: float) -> None:
         self.clock.now += duration
@@ -137,16 +143,14 @@ def test_several_turns_of_a_small_spool_are_measured():
 def test_a_cancelled_conversation_returns_the_cable_before_it_releases_it():
     bench = Bench()
     bench.interrupted_at = "reading 3"
-    released_at = watch_release(bench)
     with pytest.raises(KeyboardInterrupt):
         calibrate(bench.calibration, turns=0.3)
-    assert released_at == [pytest.approx(0.0, abs=1e-3)]  # a loaded servo yields by less
+    assert bench.released_at == [pytest.approx(0.0, abs=1e-3)]  # a loaded servo yields by less
 
 
 def test_a_second_interrupt_releases_a_contracted_robot_at_once():
     bench = Bench()
     bench.interrupted_at = "reading 3"
-    released_at = watch_release(bench)
 
     def interrupt(_: float) -> None:
         if any("Ctrl-C" in line for line in bench.output):
@@ -156,7 +160,7 @@ def test_a_second_interrupt_releases_a_contracted_robot_at_once():
     bench.calibration._wait = interrupt
     with pytest.raises(KeyboardInterrupt):
         calibrate(bench.calibration, turns=0.3)
-    assert released_at[0] > 0.02
+    assert bench.released_at[0] > 0.02
     assert not bench.torque
 
 
@@ -168,7 +172,7 @@ def test_a_contracted_robot_that_cannot_return_keeps_its_torque(fault):
 
     def answer(question: str, meanwhile) -> str:
         if "reading 3" in question:
-            bench.robot.board.add(make_fault(fault, target=1, duration=1e3))
+            bench.inject(fault, target=1, duration=1e3)
         return ask(question, meanwhile)
 
     bench.calibration._ask_operator = answer
@@ -192,45 +196,15 @@ def test_the_operator_decides_on_a_torque_that_another_program_left_on(decision,
     assert bench.torque == torque
 
 
-def watch_release(bench: Bench) -> list[float]:
-    """Return a list to which the wound length (m) is appended whenever the torque of the cable servo goes off."""
-    lengths: list[float] = []
-    write = bench.port.writePort
-
-    def watched(packet) -> int:
-        before = bench.torque
-        wound = bench.wound
-        sent = write(packet)
-        if before and not bench.torque:
-            lengths.append(wound)
-        return sent
-
-    bench.port.writePort = watched
-    return lengths
-
-
 @pytest.mark.parametrize("garbled", [0, 2])
 def test_a_conversation_that_is_killed_with_the_torque_on_leaves_it_to_the_watchdog(
     garbled, monkeypatch
 ):
     """Whichever packet is the last one, no servo has its torque on without a watchdog."""
-    unarmed: list[int] = []
     bench = Bench()
     lose_answers(bench, monkeypatch, garbled)
-    write = bench.port.writePort
-
-    def watched(packet) -> int:
-        sent = write(packet)
-        unarmed.extend(
-            servo.servo_id
-            for servo in bench.robot.servos
-            if servo.memory["torque_enable"] and servo.memory["bus_watchdog"] <= 0
-        )
-        return sent
-
-    bench.port.writePort = watched
     calibrate(bench.calibration, turns=0.3)
-    assert unarmed == []
+    assert bench.unarmed == []
 
 
 class Killed(Exception):
@@ -258,7 +232,7 @@ def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
 
 def test_a_blocked_cable_ends_the_conversation():
     bench = Bench()
-    bench.robot.board.add(make_fault("stalled", target=1, duration=1e3))
+    bench.inject("stalled", target=1, duration=1e3)
     servo = bench.calibration.find_servos()[0]
     with pytest.raises(DriverError, match="blocked"):
         bench.calibration.cable(servo, 0.3)
@@ -292,10 +266,9 @@ def test_a_person_may_give_up_after_a_garbled_answer(monkeypatch):
     bench = Bench()
     bench.decision = "g"
     lose_answers(bench, monkeypatch, 1)
-    released_at = watch_release(bench)
     with pytest.raises(CorruptReplyError):
         calibrate(bench.calibration, turns=0.3)
-    assert released_at == [pytest.approx(0.0, abs=5e-4)]
+    assert bench.released_at == [pytest.approx(0.0, abs=5e-4)]
 
 
 def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
@@ -347,8 +320,7 @@ def test_no_request_is_sent_while_a_late_answer_may_still_arrive(late):
     def watched(packet) -> int:
         if packet[7] == Instruction.READ:
             if not in_transit:
-                fault = make_fault("late", target=1, value=late, count=1)
-                bench.robot.board.add(fault.delayed(bench.clock.now))
+                bench.inject("late", target=1, value=late, count=1)
             in_transit.append(len(bench.port.ser._coming))
         return write(packet)
 
@@ -364,24 +336,6 @@ def test_without_servos_it_names_the_checks():
     silent = Calibration(bus, lambda *_: "", lambda _: None, lambda _: None)
     with pytest.raises(ConfigurationError, match="no servo answers"):
         calibrate(silent, 0.5)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["{}/exists.yaml"], "already exists"),
-        (["{}/no/folder.yaml"], "its folder does not exist"),
-        (["{}/new.yaml", "--turns", "nan"], "--turns"),
-    ],
-)
-def test_a_bad_command_line_is_rejected_before_anything_is_opened(
-    tmp_path, capsys, arguments, expected
-):
-    (tmp_path / "exists.yaml").touch()
-    with pytest.raises(SystemExit) as ended:
-        main([argument.format(tmp_path) for argument in arguments])
-    assert ended.value.code == 2
-    assert expected in capsys.readouterr().err
 
 
 def test_a_missing_port_is_reported_in_one_line(tmp_path, capsys):

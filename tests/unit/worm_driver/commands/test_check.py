@@ -2,34 +2,17 @@
 """Command ``check``: its table, its JSON object and its exit status, on the ports of a virtual robot."""
 
 import json
-import threading
-from collections.abc import Iterator
-
-import pytest
+import math
 
 from worm_driver.commands.check import main
 from worm_driver.control.bench_check import State
-from worm_driver.virtual_robot.robot_server import I2C_NAME, SERIAL_NAME, RobotServer
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
 
 
-@pytest.fixture
-def robot(tmp_path, monkeypatch) -> Iterator[RobotServer]:
+def test_a_healthy_robot_then_a_faulty_one(serve, monkeypatch, capsys):
     monkeypatch.setenv("ROS_DOMAIN_ID", "230")
-    server = RobotServer(VirtualRobot(load_settings()), tmp_path, lambda _: None, rate=float("inf"))
-    server.open()
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    yield server
-    server.stop()
-    thread.join()
-    server.close()
-
-
-def test_a_healthy_robot_then_a_faulty_one(robot, tmp_path, capsys):
-    ports = ["--port", str(tmp_path / SERIAL_NAME), "--i2c-bus", str(tmp_path / I2C_NAME)]
+    served = serve(math.inf)
+    ports = ["--port", served.port, "--i2c-bus", served.socket]
     assert main([*ports, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["ok"] is True
@@ -42,27 +25,9 @@ def test_a_healthy_robot_then_a_faulty_one(robot, tmp_path, capsys):
             "found": str,
             "remedy": str,
         }
-    robot.inject(make_fault("overload", target=11))
+    served.server.inject(make_fault("overload", target=11))
     assert main(ports) == 1
     lines = capsys.readouterr().out.splitlines()
     faulty = [number for number, line in enumerate(lines) if State.FAILED.value in line]
     assert [lines[number].split()[0] for number in faulty] == ["hardware"]
     assert "reboot" in lines[faulty[0] + 1]
-
-
-@pytest.mark.parametrize(
-    ("text", "arguments", "named"),
-    [
-        ("/**/driver: {ros__parameters: {prot: x}}", [], "port"),
-        ("/**/driver: {ros__parameters: {fin_servos: {ids: [1, 2]}}}", [], "two servos"),
-        ("/**/driver: {ros__parameters: {}}", ["--camera", "/dev/video0"], "--setup"),
-    ],
-)
-def test_bad_input_is_one_line(text, arguments, named, tmp_path, capsys):
-    file = tmp_path / "driver.yaml"
-    file.write_text(text)
-    assert main([str(file), *arguments]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    (line,) = output.err.splitlines()
-    assert named in line

@@ -173,14 +173,6 @@ def test_the_command_asks_before_it_writes(monkeypatch, capsys, answer, status, 
     assert registers(target) == expected("XL430-W250")
 
 
-@pytest.mark.parametrize("arguments", [["253"], ["x"], [], ["1", "--baud-rate", "5"]])
-def test_bad_arguments(arguments, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert end.value.code == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
 def test_a_missing_port_is_a_failure_with_the_remedy(capsys, tmp_path):
     assert main(["11", "--port", str(tmp_path / "none")]) == 1
     assert "plug the adapter in" in capsys.readouterr().err

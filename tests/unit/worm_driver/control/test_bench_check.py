@@ -2,7 +2,6 @@
 """Rows on servos and sensor against the virtual robot, byte for byte. Each fault turns one row; nothing is written."""
 
 import errno
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -146,7 +145,7 @@ def test_an_earlier_driver_left_the_robot_at_rest_or_contracted():
 # --- the serial port ------------------------------------------------------------------------------
 
 
-def test_a_missing_port_and_a_forbidden_one(tmp_path, monkeypatch, pty_path):
+def test_a_missing_port_and_a_forbidden_one(tmp_path, monkeypatch, terminal):
     bus, rows = open_port(settings(port=str(tmp_path / "none")))
     assert bus is None
     assert turned(rows) == ["port"]
@@ -156,38 +155,25 @@ def test_a_missing_port_and_a_forbidden_one(tmp_path, monkeypatch, pty_path):
         raise serial.SerialException(errno.EACCES, "could not open port")
 
     monkeypatch.setattr(serial, "Serial", forbidden)
-    _, rows = open_port(settings(port=pty_path))
+    _, rows = open_port(settings(port=terminal))
     assert turned(rows) == ["permissions"]
     assert "dialout" in rows[1].remedy
 
 
 @pytest.mark.parametrize(("timer", "state"), [(1, "ok"), (2, "warning"), (16, "failed")])
-def test_the_latency_timer(timer, state, monkeypatch, pty_path):
+def test_the_latency_timer(timer, state, monkeypatch, terminal):
     monkeypatch.setattr(serial_port, "latency_timer_ms", lambda _: timer)
-    bus, rows = open_port(settings(port=pty_path))
+    bus, rows = open_port(settings(port=terminal))
     bus.close()
     assert [row.state.value for row in rows] == ["ok", "ok", state]
     assert ("udev" in rows[2].remedy) == (timer > 1)
 
 
-@pytest.fixture
-def pty_path():
-    master, slave = os.openpty()
-    yield os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
-
-
 # --- the power sensor -----------------------------------------------------------------------------
 
 
-class _Clock(Clock):
-    def sleep_until(self, due: float) -> None:
-        self.now = due
-
-
 def sensor_rows(monkeypatch, change: Change, robot: VirtualRobot | None = None, **changed: object):
-    robot, clock = robot or VirtualRobot(installed_robot()), _Clock()
+    robot, clock = robot or VirtualRobot(installed_robot()), Clock()
     change(robot)
     device = i2c.I2CDevice(DirectSMBus(robot, clock), "1", 0x40)
     monkeypatch.setattr(device, "write", None)  # the check only reads
@@ -238,7 +224,7 @@ def test_noise_a_wrong_range_and_no_sensor(monkeypatch):
 
 
 def test_a_missing_bus_and_swapped_bytes(monkeypatch):
-    rows = SensorCheck(settings(i2c_bus="/dev/none"), _Clock()).rows()
+    rows = SensorCheck(settings(i2c_bus="/dev/none"), Clock()).rows()
     assert turned(rows) == ["power sensor"]
     assert "enable I2C" in rows[0].remedy
     monkeypatch.setattr(i2c.I2CDevice, "read", lambda *_: 0x9F39)

@@ -7,9 +7,9 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from driver_rig import Clock
 from waiting import TIMEOUT_S, wait_for
 
-from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop, PowerLoop
 from worm_driver.driver_errors import DriverError, RejectedError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
@@ -26,12 +26,10 @@ class NotingRobot:
         self.active = False
         self.closing = False
         self.until_rest = 5
-        self.springs_back = False
         self.releasing = ""
         self.releases = 0
         self.threads: set[str] = set()
         self.failure: Exception | None = None
-        self.busy = threading.Event()
 
     def cycle(self, now: float) -> float:
         self.cycles += 1
@@ -49,7 +47,7 @@ class NotingRobot:
         return bool(self.releasing) and self.until_rest <= 0
 
     def shutdown(self) -> list[str]:
-        return ["the torque stays on"] if self.springs_back else self.release()
+        return self.release()
 
     def release(self) -> list[str]:
         self.releases += 1
@@ -222,31 +220,17 @@ def test_commands_that_are_submitted_during_the_end_are_all_answered(robot, loop
     assert any(answer.exception() is None for answer in answers)
 
 
-class SteppedClock(MachineClock):
-    """Time that passes only while a thread waits, or when a test sets it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def sleep_until(self, due: float) -> None:
-        self.now = max(self.now, due)
-
-
 @pytest.mark.parametrize(
     ("active", "missed"), [((True, True), 9), ((False, True), 0), ((True, False), 0)]
 )
 def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active, missed):
     """95 ms in a loop of 10 ms are late if the torque is on."""
-    clock = SteppedClock()
+    clock = Clock()
     robot.settings = SimpleNamespace(period=0.01, real_time_priority=0)
     robot.active, after = active
 
     def end_in_time(_: object) -> None:
-        """End before the report's window has moved on, as a stepped clock runs ahead."""
+        """End before the report's window has moved on, as this clock runs ahead."""
         if robot.cycles >= 100:
             loop.request_end()
 

@@ -8,7 +8,6 @@ from worm_driver.control import diagnostics
 from worm_driver.control.diagnostics import Level
 from worm_driver.control.real_time import NOT_REQUESTED
 from worm_driver.control.timing import TimingReport
-from worm_driver.driver_errors import PortError
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos.registers import XL430_W250, XM430_W350
@@ -101,9 +100,3 @@ def test_the_gait():
     left = diagnostics.gait_report(idle, active=False, homed=True, left_on="torque is on")
     assert (left.level, left.message) == (Level.WARN, "torque is on")
     assert "not homed" in diagnostics.gait_report(idle, active=False, homed=False).message
-
-
-def test_while_nothing_is_open_the_reason_is_given():
-    assert diagnostics.offline_report(None).level is Level.OK
-    failed = diagnostics.offline_report(PortError("servo bus /dev/x does not exist"))
-    assert (failed.level, failed.message) == (Level.ERROR, "servo bus /dev/x does not exist")

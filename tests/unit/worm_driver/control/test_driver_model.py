@@ -16,6 +16,7 @@ from driver_rig import (
     robot_with_spools,
     settings,
     shaft_lengths,
+    slow_down,
     spool_parameters,
 )
 from hypothesis import HealthCheck, Phase, seed
@@ -35,7 +36,6 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_player import Phase as GaitPhase
 from worm_driver.servos.state_reader import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
 from worm_msgs.gait import Gait, Profile
 
 LIVES, STEPS = 20, 50
@@ -59,46 +59,28 @@ OFF = 0.006
 EMERGENCY = "the emergency stop is on"
 MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING, GaitPhase.TENSIONING)
 
+
+def faults(names: list[str], **arguments: st.SearchStrategy) -> st.SearchStrategy:
+    return st.tuples(st.sampled_from(names), st.fixed_dictionaries(arguments))
+
+
+ONE = st.sampled_from([1, 11, 12])
 FAULTS = st.one_of(
-    st.tuples(
-        st.sampled_from(
-            ["no_answer", "corrupted_crc", "truncated", "duplicated", "fuzzed", "error"]
-        ),
-        st.fixed_dictionaries({"count": st.integers(1, 12)}),
+    faults(
+        ["no_answer", "corrupted_crc", "truncated", "duplicated", "fuzzed", "error"],
+        count=st.integers(1, 12),
     ),
-    st.tuples(
-        st.just("late"),
-        st.fixed_dictionaries({"count": st.integers(1, 30), "value": st.floats(0.001, 0.040)}),
+    faults(["late"], count=st.integers(1, 30), value=st.floats(0.001, 0.040)),
+    faults(
+        ["no_answer", "vanished", "stalled", "input_voltage", "overload"],
+        target=st.sampled_from([1, 2, 11, 12]),
+        duration=st.floats(0.02, 0.4),
     ),
-    st.tuples(
-        st.sampled_from(["no_answer", "vanished", "stalled", "input_voltage", "overload"]),
-        st.fixed_dictionaries(
-            {"target": st.sampled_from([1, 2, 11, 12]), "duration": st.floats(0.02, 0.4)}
-        ),
+    faults(["wrong_position"], target=ONE, count=st.integers(1, 3), value=st.integers(-9000, 9000)),
+    faults(
+        ["wrong_id"], target=ONE, count=st.integers(1, 6), value=st.sampled_from([1, 11, 12, 77])
     ),
-    st.tuples(
-        st.just("wrong_position"),
-        st.fixed_dictionaries(
-            {
-                "target": st.sampled_from([1, 11, 12]),
-                "count": st.integers(1, 3),
-                "value": st.integers(-9000, 9000),
-            }
-        ),
-    ),
-    st.tuples(
-        st.just("wrong_id"),
-        st.fixed_dictionaries(
-            {
-                "target": st.sampled_from([1, 11, 12]),
-                "count": st.integers(1, 6),
-                "value": st.sampled_from([1, 11, 12, 77]),
-            }
-        ),
-    ),
-    st.tuples(
-        st.sampled_from(["i2c_nack", "ina219_overflow", "ina219_reset"]), st.just({"count": 3})
-    ),
+    faults(["i2c_nack", "ina219_overflow", "ina219_reset"], count=st.just(3)),
 )
 PAPERS = st.builds(Gait, st.floats(0.01, 0.06), st.floats(0.2, 0.4), st.sampled_from([1, -1]))
 SHAPED = st.builds(
@@ -112,34 +94,6 @@ SHAPED = st.builds(
     ramp_share=st.sampled_from([0.1, 0.3, 0.5]),
 )
 GAITS = st.one_of(PAPERS, SHAPED)
-INVALID_GAITS = st.builds(
-    Gait,
-    st.sampled_from([0.03, 1e-300, 1.0]),
-    st.sampled_from([20.0, 1e-300]),
-    st.sampled_from([1, -1]),
-    st.sampled_from([0.0, 0.1]),
-    st.sampled_from([0.0, 0.08, 1.0]),
-    st.sampled_from([0.5, 0.01, 0.99]),
-    st.sampled_from(Profile),
-    st.sampled_from([0.1, 0.5]),
-)
-#: registers that another program may leave, with raw values
-LEFT_OVER = st.one_of(
-    st.tuples(
-        st.sampled_from(
-            ["profile_acceleration", "profile_velocity", "goal_pwm", "position_p_gain"]
-        ),
-        st.integers(1, 800),
-    ),
-    st.tuples(st.sampled_from(["position_i_gain", "feedforward_1st_gain"]), st.integers(1, 9000)),
-    st.tuples(st.sampled_from(["status_return_level", "led", "drive_mode"]), st.integers(0, 1)),
-    st.tuples(st.sampled_from(["operating_mode"]), st.sampled_from([1, 3, 4, 16])),
-    st.tuples(st.sampled_from(["homing_offset"]), st.integers(-9000, 9000)),
-    st.tuples(
-        st.sampled_from(["pwm_limit", "velocity_limit", "shutdown", "secondary_id"]),
-        st.integers(1, 60),
-    ),
-)
 
 
 class Life(RuleBasedStateMachine):
@@ -202,12 +156,6 @@ class Life(RuleBasedStateMachine):
         if number is not None:
             self.goals.append(number)
         self.time_passes(wait)
-
-    @precondition(lambda self: self.alive)
-    @rule(gait=INVALID_GAITS, cycles=st.sampled_from([1, 0, 2_000_000]))
-    def invalid_goal(self, gait: Gait, cycles: int) -> None:
-        with pytest.raises(DriverError):
-            self.rig.robot.start(self.clock.now, gait, cycles)
 
     @precondition(lambda self: self.alive)
     @rule()
@@ -358,10 +306,7 @@ class Life(RuleBasedStateMachine):
     @rule(index=st.integers(0, 1), share=st.floats(0.02, 1.0), cycles=st.integers(0, 60))
     def servo_is_slowed(self, index: int, share: float, cycles: int) -> None:
         """Let another program reduce the speed of a cable servo, until the next activation."""
-        speed = share * self.given.max_cable_speed
-        servo = self.cables[index % len(self.cables)]
-        servo.memory["profile_velocity"] = max(1, round(speed / 0.025 / (0.229 * math.tau / 60)))
-        servo._update_command()
+        slow_down(self.cables[index % len(self.cables)], share * self.given.max_cable_speed)
         self.time_passes(cycles)
 
     @precondition(lambda self: self.alive)
@@ -373,26 +318,6 @@ class Life(RuleBasedStateMachine):
     @rule(away=st.floats(0.0, 0.5))
     def killed_and_started_again(self, away: float) -> None:
         self.restart(away)
-        if self.alive:
-            self.activate()
-
-    @precondition(
-        lambda self: self.alive and not self.rig.robot.active and not any(self.rig.torques)
-    )
-    @rule(servo=st.sampled_from([0, 1, 2]), left=LEFT_OVER)
-    def another_program_changes_a_register(self, servo: int, left: tuple[str, int]) -> None:
-        """The next driver resets the register or rejects it; then the program restores the register."""
-        name, value = left
-        target = self.virtual.servos[servo]
-        before = target.memory[name]
-        for raw in (value, before):
-            row = target.model.registers[name]
-            data = row.address.to_bytes(2, "little") + row.encode(raw)
-            packet = instruction_packet(target.servo_id, Instruction.WRITE, data)
-            self.virtual.receive(packet, self.clock.now)
-            self.restart(0.0)
-            if self.alive:
-                break
         if self.alive:
             self.activate()
 
@@ -558,12 +483,12 @@ class Life(RuleBasedStateMachine):
 
     @invariant()
     def torque_is_off_or_the_watchdog_armed_or_expired(self) -> None:
-        for servo in getattr(self, "virtual", None).servos if hasattr(self, "virtual") else ():
+        for servo in self.virtual.servos:
             assert not servo.memory["torque_enable"] or servo.memory["bus_watchdog"] != 0
 
     @invariant()
     def no_goal_lies_beyond_the_range(self) -> None:
-        if not getattr(self, "alive", False) or not self.rig.robot.active:
+        if not self.alive or not self.rig.robot.active:
             return
         for spool, cable in zip(self.given.spools, self.cables, strict=True):
             if cable.memory["torque_enable"] and self.rig.robot.actuators.homed:
@@ -572,7 +497,7 @@ class Life(RuleBasedStateMachine):
 
     @invariant()
     def every_goal_but_the_last_has_its_result(self) -> None:
-        if getattr(self, "alive", False) and self.goals:
+        if self.alive and self.goals:
             run = self.rig.robot.player.run
             assert run is not None
             assert run.number == self.goals[-1]

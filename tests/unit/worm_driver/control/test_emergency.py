@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emergency stop: the robot it belongs to, and its files."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -58,23 +57,15 @@ def test_another_robot_does_not_find_it_and_its_reset_does_not_clear_it(device: 
     assert latch(device, "/worm", device / "ttyUSB5").on
 
 
-def test_a_virtual_robot_shares_no_stop_with_a_robot_of_its_namespace(device: Path):
-    leader, follower = os.openpty()
-    try:
-        (device / "servo_bus").symlink_to(os.ttyname(follower))
-        virtual = latch(device, "/worm", device / "servo_bus")
-        virtual.latch()
-        assert not latch(device, "/worm", device / "worm_bus").on
-        (device / "other_name").symlink_to("servo_bus")
-        assert latch(device, "/worm", device / "other_name").on
-        assert latch(device, "/other", device / "other_name").on
-        (device / "another_robot").symlink_to(
-            os.ttyname(follower)
-        )  # got the number of the terminal
-        assert not latch(device, "/worm", device / "another_robot").on
-    finally:
-        os.close(leader)
-        os.close(follower)
+def test_a_virtual_robot_shares_no_stop_with_a_robot_of_its_namespace(device: Path, terminal: str):
+    (device / "servo_bus").symlink_to(terminal)
+    latch(device, "/worm", device / "servo_bus").latch()
+    assert not latch(device, "/worm", device / "worm_bus").on
+    (device / "other_name").symlink_to("servo_bus")
+    assert latch(device, "/worm", device / "other_name").on
+    assert latch(device, "/other", device / "other_name").on
+    (device / "another_robot").symlink_to(terminal)  # got the number of the terminal
+    assert not latch(device, "/worm", device / "another_robot").on
 
 
 def test_a_stop_that_comes_before_the_robot_is_known_is_stored(tmp_path: Path):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from driver_rig import CABLE, Rig, idle, moving, settings
 
-from worm_driver.driver_errors import ConfigurationError, RejectedError, StoppedError
+from worm_driver.driver_errors import ConfigurationError, RejectedError
 from worm_driver.gait.gait_player import Phase
 
 
@@ -39,6 +39,15 @@ def stop(rig: Rig) -> None:
     rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), lifetime=math.inf)
 
 
+def left_contracted() -> Rig:
+    """Return a driver whose end left the robot contracted, with its torque on."""
+    rig = closing(0.3)
+    stop(rig)
+    ended(rig)
+    assert rig.contraction > 0.003
+    return rig
+
+
 @pytest.mark.parametrize("passed", [0.0, 0.3, 0.8])
 def test_a_stop_at_any_time_of_the_return_leaves_the_torque_on(passed):
     rig = closing(passed)
@@ -54,31 +63,16 @@ def test_a_stop_at_any_time_of_the_return_leaves_the_torque_on(passed):
 
 
 def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
-    rig = closing(0.3)
-    stop(rig)
-    ended(rig)
-    again = rig.restarted_driver()
+    again = left_contracted().restarted_driver()
     again.run(0.1)
     left = again.run(0.02).player.message
     assert "torque" in left
     assert told(left) == pytest.approx(again.contraction, abs=1e-4)
     again.robot.activate(again.clock.now)
     assert again.run(0.02).player.message == ""
-    again.robot.ramp_to_rest(again.clock.now, "deactivated")
-    while not again.robot.released:
-        again.run(0.01)
-    assert again.robot.release() == []
+    again.deactivate()
     assert again.contraction == pytest.approx(0.0, abs=1e-3)
     assert again.cable.memory["torque_enable"] == 0
-
-
-def left_contracted() -> Rig:
-    """Return a driver whose end left the robot contracted, with its torque on."""
-    rig = closing(0.3)
-    stop(rig)
-    ended(rig)
-    assert rig.contraction > 0.003
-    return rig
 
 
 def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contracted():
@@ -92,9 +86,7 @@ def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contr
     assert rig.contraction == pytest.approx(held, abs=1e-4)
     again = rig.restarted_driver()
     again.robot.activate(again.clock.now)
-    again.robot.ramp_to_rest(again.clock.now, "deactivated")
-    again.run(10.0, until=lambda _: again.robot.released)
-    assert again.robot.release() == []
+    again.deactivate()
     assert rig.restarted_driver(other).robot.actuators.left_on == ""
 
 
@@ -147,21 +139,6 @@ def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
     assert ended(rig) != []
     assert rig.contraction == pytest.approx(held, abs=1e-3)
     assert rig.cable.memory["torque_enable"] == 1
-
-
-def test_no_deactivation_moves_a_robot_before_its_emergency_stop_is_reset():
-    rig = moving()
-    held = latched(rig).contraction
-    assert held > 0.01
-    with pytest.raises(StoppedError, match="the emergency stop is on"):
-        rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(0.5)
-    assert not rig.robot.released
-    assert rig.contraction == pytest.approx(held, abs=1e-4)
-    rig.robot._why_not_start = lambda: ""
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(10.0, until=lambda _: rig.robot.released)
-    assert rig.contraction == pytest.approx(0.0, abs=1e-3)
 
 
 def test_during_an_emergency_stop_a_robot_that_is_not_contracted_is_released_without_a_motion():

@@ -6,7 +6,7 @@ import math
 import re
 
 import pytest
-from driver_rig import CABLE, Rig, idle, moving, settings, shaft_lengths, two_spools
+from driver_rig import CABLE, Rig, idle, moving, settings, shaft_lengths, slow_down, two_spools
 
 from worm_driver.driver_errors import HomingError
 from worm_driver.gait.gait_player import Phase
@@ -36,13 +36,6 @@ def slow(speed: float, **changes: object) -> Rig:
     return rig
 
 
-def slowed(rig: Rig, index: int, speed: float) -> None:
-    """Let another program limit the speed (m/s) of a cable servo."""
-    servo = rig.virtual.servos[index]
-    row = servo.model.registers["profile_velocity"]
-    servo.write(row.address, row.encode(round(speed / 0.025 / (0.229 * math.tau / 60))))
-
-
 # --- rest ------------------------------------------------------------------------------------------
 
 
@@ -54,9 +47,7 @@ def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, 
     rig = stopped(slow(speed), -0.03)
     longest = 2 * math.pi / 2 * 0.035 / min(speed, 0.05) + 2.0
     if deed == "deactivate":
-        rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-        rig.run(longest, until=lambda _: rig.robot.released)
-        assert rig.robot.release() == []
+        rig.deactivate(longest)
     else:
         rig.loop.shutdown("the driver ends")
         rig.run(longest, until=lambda _: rig.ended)
@@ -69,7 +60,7 @@ def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, 
 
 def test_a_run_begins_at_measured_rest():
     rig = stopped(slow(0.02), -0.03)
-    slowed(rig, 0, 0.015)
+    slow_down(rig.virtual.servos[0], 0.015)
     rig.start(0.02, 0.1, cycles=1)
     rig.run(20.0, until=lambda s: s.player.phase is Phase.FLIPPING)
     assert rig.contraction <= REST
@@ -78,7 +69,7 @@ def test_a_run_begins_at_measured_rest():
 def held_back(rate: float = 100.0) -> Rig:
     """Return a rig in FAULT: its servo was too slow for a short return to rest."""
     rig = stopped(slow(0.12, rate=rate), -0.01)
-    slowed(rig, 0, 0.0012)
+    slow_down(rig.virtual.servos[0], 0.0012)
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(2.0, until=lambda s: s.player.phase is not Phase.RETURNING)
     assert rig.robot.player.phase is Phase.FAULT
@@ -154,44 +145,31 @@ def test_a_robot_that_may_still_move_out_of_rest_is_not_released(delay):
 # --- holds -----------------------------------------------------------------------------------------
 
 
-def test_repeated_stops_change_no_goal_and_move_no_cable():
-    rig = stopped(slow(0.12), -0.05)
-    before, held = rig.contraction, {goal.ticks for goal in rig.goals[-3:]}
-    rig.goals.clear()
-    for _ in range(100):
-        rig.robot.stop(rig.clock.now, "the emergency stop is on")
-        rig.run(0.02)
-    of_cable = {goal.ticks for goal in rig.goals if goal.servo == CABLE}
-    assert of_cable <= held
-    assert len(of_cable) == 1
-    assert rig.contraction == pytest.approx(before, abs=2e-4)
-
-
-def test_a_stop_in_idle_changes_no_goal():
+@pytest.mark.parametrize(
+    ("length", "deed", "times"), [(-0.05, "stop", 100), (0.0, "stop", 1), (-0.05, "overload", 1)]
+)
+def test_neither_a_stop_nor_a_fault_changes_the_goal_of_a_cable_that_stands(length, deed, times):
     rig = slow(0.12)
+    if length:
+        stopped(rig, length)
     rig.run(0.2)
-    before = {goal.ticks for goal in rig.goals[-3:]}
+    before, held = rig.contraction, {goal.ticks for goal in rig.goals[-3:] if goal.servo == CABLE}
     rig.goals.clear()
-    rig.robot.stop(rig.clock.now, "stop")
-    rig.run(0.2)
-    assert {goal.ticks for goal in rig.goals} == before
-
-
-def test_a_fault_in_a_hold_changes_no_goal():
-    rig = stopped(slow(0.12), -0.05)
-    before = {goal.ticks for goal in rig.goals[-3:]}
-    rig.goals.clear()
-    rig.inject("overload", target=12)
-    rig.run(0.5)
-    assert rig.robot.player.phase is Phase.FAULT
-    assert {goal.ticks for goal in rig.goals if goal.servo == CABLE} <= before
+    for _ in range(times):
+        if deed == "stop":
+            rig.robot.stop(rig.clock.now, "the emergency stop is on")
+        else:
+            rig.inject(deed, target=12)
+        rig.run(2.0 / times)
+    assert (rig.robot.player.phase is Phase.FAULT) == (deed == "overload")
+    assert {goal.ticks for goal in rig.goals if goal.servo == CABLE} == held
+    assert rig.contraction == pytest.approx(before, abs=2e-4)
 
 
 def test_a_return_begins_at_the_goal_of_the_hold():
     rig = stopped(slow(0.12), -0.05)
     rig.goals.clear()
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(5.0, until=lambda _: rig.robot.released)
+    rig.deactivate(5.0)
     goals = [goal.ticks for goal in rig.goals if goal.servo == CABLE]
     ticks = rig.settings.spools[0].ticks(-0.05 * 0.0101)  # 10 ms at 50 mm/s
     assert all(0 <= a - b <= ticks for a, b in itertools.pairwise(goals))
@@ -230,8 +208,7 @@ def test_activation_holds_each_servo_where_it_is(distance):
     assert rig.robot.player.phase is Phase.IDLE
     assert shaft_lengths(rig) == pytest.approx(before, abs=3e-4)
     assert rig.bus.counters.withheld == 0
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(2.0, until=lambda _: rig.robot.released)
+    rig.deactivate(2.0)
     assert rig.contraction <= REST
 
 
@@ -251,7 +228,7 @@ def test_activation_rejects_cables_that_differ(distance):
 @pytest.mark.parametrize("index", [0, 1])
 def test_one_lagging_servo_is_a_fault_of_this_servo(index):
     rig = two_spools().play(0.06, 0.3)
-    slowed(rig, index, 0.006)
+    slow_down(rig.virtual.servos[index], 0.006)
     rig.run(8.0, until=lambda s: s.player.phase is Phase.FAULT)
     assert f"the cable of servo {index + 1} is" in rig.robot.player.message
     lengths = shaft_lengths(rig)
@@ -261,7 +238,7 @@ def test_one_lagging_servo_is_a_fault_of_this_servo(index):
 def lagging(index: int, lag: float) -> Rig:
     """Return a driver of two spools in a gait, one of which lags behind the other one by a length (m)."""
     rig = two_spools().play(0.06, 0.3)
-    slowed(rig, index, 0.006)
+    slow_down(rig.virtual.servos[index], 0.006)
     rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > lag)
     rig.robot.stop(rig.clock.now, "stop")
     return rig
@@ -289,10 +266,9 @@ def test_after_a_stop_each_servo_holds_where_it_is(index, lag):
 def test_servos_that_hold_at_different_lengths_return_to_rest_together():
     rig = lagging(1, 0.010)
     rig.run(0.5)
-    slowed(rig, 1, 0.12)
+    slow_down(rig.virtual.servos[1], 0.12)
     rig.goals.clear()
-    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(5.0, until=lambda _: rig.robot.released)
+    rig.deactivate(5.0)
     assert rig.contraction <= REST
     for spool in rig.settings.spools:
         lengths = [spool.length_change(g.ticks) for g in rig.goals if g.servo == spool.servo]

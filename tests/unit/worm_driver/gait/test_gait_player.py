@@ -209,12 +209,6 @@ def test_a_return_lasts_until_the_encoders_show_the_cable_at_rest(cancelled):
     assert state.phase is (Phase.IDLE if cancelled else Phase.FLIPPING)
 
 
-def test_a_second_run_is_rejected_with_the_reason():
-    now, state = running()
-    with pytest.raises(RejectedError, match=r"running already \(cycle 1 of 5\)"):
-        gait_player.start(state, now, GAIT, 5)
-
-
 def test_a_fault_holds_and_rejects_until_the_next_activation():
     now, state = running()
     state = gait_player.fault(state, now, "servo 1 is gone")
@@ -224,19 +218,6 @@ def test_a_fault_holds_and_rejects_until_the_next_activation():
         gait_player.start(state, now, GAIT, 5)
     assert gait_player.fault(state, now, "another").message == "servo 1 is gone"
     assert gait_player.stop(state, now, "stop").phase is Phase.FAULT
-
-
-def test_the_fins_are_set_at_rest_before_a_reverse_gait():
-    state = replace(PlayerState(), direction=1)
-    state = gait_player.start(state, 0.0, Gait(0.07, 0.4, -1), 1)
-    moving = Observation((11, 12), idle_samples=0)
-    states = play(state, 0.0, 1.0, seen=moving)
-    assert {s.phase for _, s in states} == {Phase.FLIPPING}
-    assert states[-1][1].direction == -1
-    now, state = states[-1]
-    states = play(state, now, 0.6)
-    assert states[-1][1].phase is Phase.RESTING
-    assert states[-1][1].run.rest_start >= now + SETTINGS.settle_time
 
 
 def test_fins_that_do_not_arrive_are_a_fault():

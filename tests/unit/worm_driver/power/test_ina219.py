@@ -25,11 +25,11 @@ from worm_driver.virtual_robot.wire.faults import make_fault
 class Chip:
     """The virtual robot's sensor behind the driver, on a clock of its own."""
 
-    def __init__(self, address: int = 0x40) -> None:
+    def __init__(self) -> None:
         self.clock = Clock()
         self.robot = VirtualRobot(load_settings(None))
         bus = DirectSMBus(self.robot, self.clock)
-        self.sensor = INA219(I2CDevice(bus, "1", address), 0.1, calibration_for(0.1, 3.2))
+        self.sensor = INA219(I2CDevice(bus, "1", 0x40), 0.1, calibration_for(0.1, 3.2))
 
     def sample(self, after: float = 0.01):
         self.clock.now += after

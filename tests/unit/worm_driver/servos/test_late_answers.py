@@ -17,15 +17,6 @@ LATE = [0.003, 0.008, 0.012, 0.020, 0.040]
 FALSE = re.compile("input voltage|overheating|encoder|shock|overload|restarted|turn count|reports")
 
 
-def marked_home(rig: Rig) -> bool:
-    return rig.cable.memory["led"] == 1
-
-
-def true_zero(rig: Rig) -> float:
-    """Return the shaft's position at the driver's 0, ticks."""
-    return rig.cable._encoder.shaft(0)
-
-
 @pytest.mark.parametrize("count", [1, 5])
 @pytest.mark.parametrize("late", LATE)
 def test_a_home_with_late_answers_is_right_or_leaves_no_mark(late, count):
@@ -38,10 +29,11 @@ def test_a_home_with_late_answers_is_right_or_leaves_no_mark(late, count):
         try:
             rig.robot.home()
         except DriverError:
-            assert not marked_home(rig)
+            assert not rig.cable.memory["led"]
             assert not rig.robot.actuators.homed
-        if marked_home(rig):
-            assert true_zero(rig) == pytest.approx(rig.cable.motor.position, abs=12)
+        if rig.cable.memory["led"]:
+            zero = rig.cable._encoder.shaft(0)
+            assert zero == pytest.approx(rig.cable.motor.position, abs=12)
 
 
 def test_a_home_that_failed_is_not_activated_and_can_be_repeated():

@@ -7,26 +7,15 @@ usual.
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from driver_rig import (
-    CABLE,
-    QuickSettings,
-    Rig,
-    fin_parameters,
-    installed_robot,
-    settings,
-    spool_parameters,
-)
+from driver_rig import CABLE, Rig, rig_of_model
 
 from worm_driver.driver_errors import DriverError
 from worm_driver.gait.gait_player import Phase
-from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.servo.control_table import MODELS, VirtualServoModel
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
 
 FIN = 11
@@ -49,22 +38,7 @@ IRRELEVANT = {"moving_threshold", "velocity_p_gain", "goal_current", "goal_veloc
 @cache
 def closed(name: str) -> Rig:
     """Return a homed robot of one model, with a cable servo and a fin servo, whose driver has ended."""
-    model, usual = MODELS[name], installed_robot()
-    virtual = VirtualRobot(
-        replace(
-            usual,
-            cable_servos=(replace(usual.cable_servos[0], model=model, spool_radius=0.01),),
-            fin_servos=(replace(usual.fin_servos[0], id=FIN, model=model),),
-            supply=replace(usual.supply, voltage=model.nominal_voltage),
-        )
-    )
-    driver = settings(
-        QuickSettings,
-        **spool_parameters([Spool(CABLE, 1, 0.01)]),
-        **fin_parameters([Fin(FIN, 2.3562, 3.9270)]),
-        max_servo_current=5.0,
-    )
-    rig = Rig(driver, virtual)
+    rig = rig_of_model(MODELS[name], max_servo_current=5.0)
     rig.activate()
     rig.run(0.1)
     assert rig.end() == []

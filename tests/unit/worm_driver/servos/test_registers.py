@@ -73,15 +73,6 @@ def test_the_sdk_returns_minus_one_as_four_billion_and_this_does_not():
     assert COMMON["bus_watchdog"].unpack(b"\xff") == -1
 
 
-def test_a_register_is_found_in_a_block():
-    block = bytes(range(120, 147))
-    assert COMMON["present_temperature"].unpack_from(block, 120) == 146
-    assert COMMON["realtime_tick"].unpack_from(block, 120) == 120 | 121 << 8
-    for name, start in (("torque_enable", 120), ("torque_enable", 65), ("present_temperature", 20)):
-        with pytest.raises(ValueError, match=name):
-            COMMON[name].unpack_from(block, start)
-
-
 @given(st.floats(-1000.0, 1000.0))
 def test_an_angle_comes_back_to_half_a_tick(angle):
     back = POSITION.from_raw(POSITION.to_raw(angle))

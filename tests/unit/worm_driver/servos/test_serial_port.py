@@ -3,7 +3,6 @@ import array
 import errno
 import fcntl
 import os
-from collections.abc import Iterator
 
 import pytest
 
@@ -12,15 +11,6 @@ from worm_driver.servos import serial_port
 from worm_driver.servos.servo_bus import ServoBus
 
 TIOCGEXCL = 0x80045440
-
-
-@pytest.fixture
-def terminal() -> Iterator[tuple[int, str]]:
-    """Open a pseudo-terminal, and return the descriptor and the name of its end."""
-    master, slave = os.openpty()
-    yield slave, os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
 
 
 def _exclusive(descriptor: int) -> bool:
@@ -45,13 +35,14 @@ def test_a_port_without_a_latency_timer_has_none(tmp_path):
 
 
 def test_a_pseudo_terminal_is_not_marked_and_other_openers_are_admitted_again(terminal):
-    slave, _ = terminal
+    slave = os.open(terminal, os.O_RDWR | os.O_NOCTTY)
     serial_port.open_exclusively(slave)
     assert not _exclusive(slave)
     fcntl.ioctl(slave, 0x540C)  # TIOCEXCL
     assert _exclusive(slave)
     serial_port.end_exclusive_use(slave)
     assert not _exclusive(slave)
+    os.close(slave)
 
 
 def test_each_failure_to_open_has_its_remedy(tmp_path, terminal):
@@ -61,22 +52,19 @@ def test_each_failure_to_open_has_its_remedy(tmp_path, terminal):
     file = str(tmp_path / "file")
     explain = serial_port.explain_open_failure
     assert "set the parameter port" in explain(file, OSError())
-    _, port = terminal
-    assert "dialout" in explain(port, PermissionError(errno.EACCES, "no"))
-    assert f"lsof {port}" in explain(port, OSError(errno.EWOULDBLOCK, "lock"))
-    assert "bad fd" in explain(port, OSError(errno.EBADF, "bad fd"))
+    assert "dialout" in explain(terminal, PermissionError(errno.EACCES, "no"))
+    assert f"lsof {terminal}" in explain(terminal, OSError(errno.EWOULDBLOCK, "lock"))
+    assert "bad fd" in explain(terminal, OSError(errno.EBADF, "bad fd"))
 
 
-def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with_the_remedy(
-    tmp_path,
+@pytest.mark.parametrize(
+    ("name", "expected"), [("notes.txt", "a file, not a device"), (".", "a folder")]
+)
+def test_what_is_no_port_is_rejected_before_it_is_opened_in_one_line_with_the_remedy(
+    tmp_path, name, expected
 ):
     (tmp_path / "notes.txt").touch()
-    found = {
-        str(tmp_path / "notes.txt"): "a file, not a device",
-        str(tmp_path): "a folder",
-    }
-    for port, expected in found.items():
-        with pytest.raises(ConfigurationError, match=expected) as rejected:
-            ServoBus.open(port, 1_000_000)
-        assert "set the parameter port" in str(rejected.value)
-        assert "\n" not in str(rejected.value)
+    with pytest.raises(ConfigurationError, match=expected) as rejected:
+        ServoBus.open(str(tmp_path / name), 1_000_000)
+    assert "set the parameter port" in str(rejected.value)
+    assert "\n" not in str(rejected.value)

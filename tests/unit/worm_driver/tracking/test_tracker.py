@@ -89,17 +89,14 @@ def test_the_delay_is_subtracted_from_the_stamp():
     assert see(*CAMERA.modules(), tracker=tracker, time=2.0).time == pytest.approx(1.96)
 
 
-def test_no_position_without_a_pose():
-    tracker = Tracker(setup_of(SETTINGS))
-    seen = tracker.see(CAMERA.modules(), 0.0)
+BLURRED = [replace(detection, edge_width=2.0) for detection in CAMERA.references()]
+
+
+@pytest.mark.parametrize("references", [[], BLURRED], ids=["none", "blurred"])
+def test_without_a_clear_reference_marker_there_is_no_pose_and_no_position(references):
+    seen = Tracker(setup_of(SETTINGS)).see([*references, *CAMERA.modules()], 0.0)
     assert np.isnan([seen.rear, seen.front]).all()
     assert "no reference marker in view" in seen.reason
-    assert seen.pose is None
-
-
-def test_a_blurred_reference_marker_is_no_reference():
-    blurred = [replace(detection, edge_width=2.0) for detection in CAMERA.references()]
-    seen = Tracker(setup_of(SETTINGS)).see([*blurred, *CAMERA.modules()], 0.0)
     assert seen.pose is None
 
 

@@ -80,14 +80,6 @@ def test_the_width_of_edges_measures_their_blur():
         assert found.edge_width == pytest.approx(0.8 * ramp, rel=0.2, abs=0.05)
 
 
-def test_corners_without_clear_edges_are_opencvs():
-    corners = np.array([[30.0, 30.0], [90.0, 30.0], [90.0, 90.0], [30.0, 90.0]])
-    flat = np.full((120, 120), 128, np.uint8)
-    found = vision.MarkerDetector("DICT_4X4_50")._refined(flat, 7, corners)
-    assert (found.number, found.edge_width) == (7, np.inf)
-    assert np.array_equal(found.corners, corners)
-
-
 @pytest.mark.parametrize("dictionary", ["DICT_5X5_100", "DICT_APRILTAG_36h11", "DICT_6X6_250"])
 def test_other_dictionaries(dictionary):
     printed = vision.marker_image(dictionary, 7, 9)

@@ -2,9 +2,7 @@
 """The directory of a virtual robot: which process may use it, and which files remain. The server's simulated time."""
 
 import math
-import os
 import socket
-import stat
 
 import pytest
 
@@ -26,23 +24,6 @@ def make(settings):
     yield build
     for server in made:
         server.close()
-
-
-def test_what_stands_there_and_that_it_goes(make, tmp_path):
-    directory = tmp_path / "deep" / "robot"
-    server = make(directory)
-    server.open()
-    assert os.ttyname(os.open(directory / "servo_bus", os.O_RDWR | os.O_NOCTTY)).startswith("/dev")
-    assert stat.S_ISSOCK((directory / "i2c.sock").stat().st_mode)
-    server.close()
-    assert list(directory.iterdir()) == []
-
-
-def test_one_robot_a_directory(make, tmp_path):
-    make(tmp_path).open()
-    with pytest.raises(DirectoryError, match="in use by another virtual robot"):
-        make(tmp_path).open()
-    assert (tmp_path / "i2c.sock").exists()
 
 
 def test_leftovers_of_a_killed_robot_are_cleared(make, tmp_path):

@@ -4,6 +4,7 @@
 import math
 import threading
 import time
+from contextlib import closing
 
 import pytest
 
@@ -20,29 +21,31 @@ def fast(serve):
     return serve(math.inf)
 
 
-def open_bus(robot) -> tuple[ServoBus, SimulatedClock]:
-    bus = ServoBus.open(robot.port, 1_000_000)
-    clock = SimulatedClock(robot.directory, SERIAL)
-    bus.port.go_by(clock)
-    return bus, clock
+@pytest.fixture
+def clock(fast):
+    with closing(SimulatedClock(fast.directory, SERIAL)) as clock:
+        yield clock
 
 
-def test_a_minute_passes_at_once_and_to_the_moment(fast):
-    clock = SimulatedClock(fast.directory, I2C)
+@pytest.fixture
+def bus(fast, clock):
+    with closing(ServoBus.open(fast.port, 1_000_000, retries=0)) as bus:
+        bus.port.go_by(clock)
+        yield bus
+
+
+def test_a_minute_passes_at_once_and_to_the_moment(clock):
     begin = clock()
     clock.sleep_until(begin + 60.0)
     assert clock() == pytest.approx(begin + 60.0, abs=1e-9)
     assert clock.epoch_ns == 10**18
-    clock.close()
 
 
-def test_while_a_client_works_no_time_passes(fast):
-    clock = SimulatedClock(fast.directory, I2C)
+def test_while_a_client_works_no_time_passes(clock):
     now = clock()
     end = time.monotonic() + 0.3
     while time.monotonic() < end:
         assert clock() == now
-    clock.close()
 
 
 def test_two_wait_for_each_other(fast):
@@ -66,9 +69,7 @@ def test_two_wait_for_each_other(fast):
     assert seen["b"] == pytest.approx([0.007 * n for n in range(1, 51)], abs=1e-9)
 
 
-def test_a_missing_answer_takes_its_timeout_and_no_more(fast):
-    bus, clock = open_bus(fast)
-    bus.retries = 0
+def test_a_missing_answer_takes_its_timeout_and_no_more(fast, bus, clock):
     bus.read(1, COMMON["present_position"])
     fast.server.inject(make_fault("no_answer", target=1))
     clock.sleep_until(clock() + 0.1)
@@ -77,22 +78,16 @@ def test_a_missing_answer_takes_its_timeout_and_no_more(fast):
         bus.read(1, COMMON["present_position"])
     assert clock() - begin == pytest.approx(bus.answer_time(4, 1), abs=2e-6)
     bus.read(1, COMMON["present_position"])
-    bus.close()
-    clock.close()
 
 
-def test_a_thousand_questions_are_answered_however_the_line_dawdles(fast):
+def test_a_thousand_questions_are_answered_however_the_line_dawdles(bus):
     """A pseudo-terminal transmits bytes when the kernel has time for it:
 
     the robot's time must not advance meanwhile.
     """
-    bus, clock = open_bus(fast)
-    bus.retries = 0
     for _ in range(1000):
         bus.read(1, COMMON["present_position"])
     assert (bus.counters.timeouts, bus.counters.corrupt) == (0, 0)
-    bus.close()
-    clock.close()
 
 
 def test_an_ended_client_delays_no_other(fast):

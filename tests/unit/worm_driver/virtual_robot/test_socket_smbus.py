@@ -70,11 +70,6 @@ def test_a_closed_bus_is_reported(bus):
     assert caught.value.errno == errno.EBADF
 
 
-def test_a_missing_socket(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        SocketSMBus(str(tmp_path / "none"))
-
-
 @given(byte, byte, byte, st.binary(max_size=32))
 def test_packets_have_an_inverse(operation, address, register, data):
     request = Request(operation, address, register, data)

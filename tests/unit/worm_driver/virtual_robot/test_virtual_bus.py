@@ -171,20 +171,6 @@ def test_hardware_alerts_last_until_a_reboot(name, bit, shuts_down):
     assert replies(virtual, write(CABLE, 64, b"\x01"), 4.0) == [status_packet(CABLE, 0)]
 
 
-def test_a_servo_that_vanishes_comes_back_folded_and_limp():
-    virtual = robot(make_fault("vanished", target=CABLE, start=6.0, duration=1.0))
-    virtual.receive(write(CABLE, 64, b"\x01"), 0.0)
-    virtual.receive(write(CABLE, 116, two_bytes(4700) + two_bytes(0)), 0.0)
-    assert replies(virtual, PING, 5.9) == [PONG]
-    assert replies(virtual, PING, 6.5) == []
-    assert replies(virtual, PING, 7.1) == []  # the servo is booting
-    assert replies(virtual, PING, 7.3) == [PONG]
-    cable = virtual.servos[0]
-    assert cable.memory["torque_enable"] == 0
-    position = int.from_bytes(cable.read(132, 4), "little", signed=True)
-    assert position < 4096 < cable.motor.position
-
-
 @given(st.lists(st.binary(max_size=30), max_size=8), st.integers(0, 2**32))
 def test_rubbish_never_disturbs_what_follows(rubbish, tail):
     virtual = robot()

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from worm_driver.virtual_robot.offline_run import run_offline
-from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import Tracker, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import TrackerSettings
 from worm_driver.virtual_robot.wire.faults import make_fault
@@ -106,8 +105,9 @@ def test_two_cable_servos_of_opposite_signs_share_the_cable(settings):
     second = replace(first, id=2, sign=-1)
     robot = VirtualRobot(replace(settings, cable_servos=(first, second)))
     for servo, sign in zip(robot.servos, (1, -1), strict=False):
-        turn_on(servo)
-        set_goal(servo, servo.memory["goal_position"] + sign * 1000)
+        servo.write(64, b"\x01")  # the torque
+        goal = servo.memory["goal_position"] + sign * 1000
+        servo.write(116, goal.to_bytes(4, "little", signed=True))
     robot.advance(2.0)
     wound = 1000 / 4096 * 2 * math.pi * first.spool_radius
     assert robot.cable_change == pytest.approx(-wound, abs=1e-4)
@@ -116,24 +116,10 @@ def test_two_cable_servos_of_opposite_signs_share_the_cable(settings):
     assert loads[0] > 0.1
 
 
-def turn_on(servo: Servo) -> None:
-    servo.write(64, b"\x01")
-
-
-def set_goal(servo: Servo, ticks: int) -> None:
-    servo.write(116, ticks.to_bytes(4, "little", signed=True))
-
-
-CLEAR = TrackerSettings(rate=30.0, noise=0.00015, occlusion_rate=0.0, occlusion=0.3)
-
-
-def watch(settings, seconds, seed=1):
-    tracker = Tracker(settings, Random(seed))
-    return [tracker.expose(index / 30, 0.1, 0.4) for index in range(round(seconds * 30))]
-
-
 def test_an_occlusion_hides_one_marker_for_its_time():
-    samples = watch(replace(CLEAR, occlusion_rate=0.2), 200)
+    given = TrackerSettings(rate=30.0, noise=0.00015, occlusion_rate=0.2, occlusion=0.3)
+    tracker = Tracker(given, Random(1))
+    samples = [tracker.expose(index / 30, 0.1, 0.4) for index in range(200 * 30)]
     hidden = [math.isnan(sample.rear_position) for sample in samples]
     starts = sum(now and not before for before, now in pairwise(hidden))
     assert starts == pytest.approx(0.2 * 200, rel=0.4)

@@ -64,21 +64,6 @@ def test_packets_are_found_however_the_stream_is_cut(bodies, noise, data):
     assert [packet.parameters for packet in found] == bodies
 
 
-def test_a_wrong_checksum_is_reported():
-    packet = bytearray(instruction_packet(3, Instruction.PING))
-    packet[-1] ^= 1
-    (found,) = InstructionReader(1.0).feed(bytes(packet), 0.0)
-    assert not found.intact
-
-
-def test_a_pause_drops_what_came_before_it():
-    reader = InstructionReader(allowed_gap=0.05)
-    packet = instruction_packet(3, Instruction.PING)
-    assert reader.feed(packet[:5], 0.0) == []
-    assert reader.feed(packet[5:], 0.1) == []
-    assert reader.feed(packet, 0.2) == [Packet(3, Instruction.PING, b"")]
-
-
 def test_an_unstuffed_header_in_a_body_loses_the_packet_but_not_the_next():
     body = bytes([Instruction.WRITE, 0x74, 0x00]) + HEADER + b"\xff"  # goal -131073, not stuffed
     head = HEADER + b"\x00\x01" + (len(body) + 2).to_bytes(2, "little")

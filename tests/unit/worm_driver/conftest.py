@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A virtual robot that serves its ports in a thread, without ROS."""
+"""A virtual robot that serves its ports in a thread, without ROS, and a terminal without a robot."""
 
+import os
 import threading
+import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,8 +20,8 @@ class Served:
     def __init__(self, directory: Path, rate: float | None) -> None:
         self.directory = directory
         self.port, self.socket = str(directory / SERIAL_NAME), str(directory / I2C_NAME)
-        robot = VirtualRobot(load_settings())
-        self.server = RobotServer(robot, directory, lambda _: None, rate=rate, epoch_ns=10**18)
+        self.robot = VirtualRobot(load_settings())
+        self.server = RobotServer(self.robot, directory, lambda _: None, rate=rate, epoch_ns=10**18)
         self.server.open()
         self._thread = threading.Thread(target=self.server.run)
         self._thread.start()
@@ -50,3 +52,13 @@ def serve(tmp_path: Path) -> Iterator[Callable[[float | None], Served]]:
     yield start
     for each in made:
         each.end()
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    """Open a pseudo-terminal whose other end does not respond."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
