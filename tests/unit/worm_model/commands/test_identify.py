@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command identify: a lab's folder and bags, its outputs, and the inputs that it rejects."""
 
+import contextlib
+import io
 import json
 import shutil
 import sys
@@ -25,11 +27,6 @@ RUNS = ("run_05", "run_06", "run_07", "run_08")
 GAIT = Gait(0.08, 0.25)
 
 
-def run_identify(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["identify", *map(str, arguments)])
-    return identify.main()
-
-
 @pytest.fixture(scope="module")
 def outcome(shared, tmp_path_factory):
     """Return status, output and folder of one call with all inputs, on a part of the campaign."""
@@ -40,17 +37,12 @@ def outcome(shared, tmp_path_factory):
         shutil.copy(shared / "campaign" / name, campaign)
     for name in RUNS:
         shutil.copytree(shared / "campaign" / name, campaign / name)
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        printed: list[str] = []
-        monkeypatch.setattr(sys.stdout, "write", printed.append)
-        status = run_identify(
-            monkeypatch,
-            campaign,
-            "--json",
-            *("--output", folder / "parameters.yaml"),
-            *("--report", folder / "report"),
-        )
-    return status, "".join(printed), folder
+    outputs = ["--output", f"{folder}/parameters.yaml", "--report", f"{folder}/report"]
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as monkeypatch, contextlib.redirect_stdout(printed):
+        monkeypatch.setattr(sys, "argv", ["identify", str(campaign), "--json", *outputs])
+        status = identify.main()
+    return status, printed.getvalue(), folder
 
 
 @pytest.mark.night
@@ -73,7 +65,7 @@ def test_the_campaign_gives_every_key_of_the_contract_and_is_predicted_to_the_ca
 
 
 @pytest.mark.night
-def test_the_parameter_file_and_the_report_contain_everything(outcome, monkeypatch, capsys):
+def test_the_parameter_file_and_the_report_contain_everything(outcome, run):
     found, folder = json.loads(outcome[1])["parameters"], outcome[2]
     file = load_parameter_file(folder / "parameters.yaml")
     values = {key: found[key]["value"] for key in KEYS}
@@ -92,20 +84,21 @@ def test_the_parameter_file_and_the_report_contain_everything(outcome, monkeypat
     assert all(f"figures/{name}" in text for name in pictures)
     assert all(symbol in text for symbol in ("p_sw", "α_P", "Recommended measurement", "D1", "D2"))
     for option, path in (("--output", "parameters.yaml"), ("--report", "report")):
-        assert run_identify(monkeypatch, folder / "campaign", option, folder / path) == 2
-        assert "exists already" in capsys.readouterr().err
+        status, _, error = run(identify, folder / "campaign", option, folder / path)
+        assert status == 2
+        assert "exists already" in error
 
 
-def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, capsys):
+def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, run):
     def fail(_):
         raise IdentificationError("no advice")
 
     monkeypatch.setattr("worm_model.identification.stages.identify", lambda *_: None)
     monkeypatch.setattr("worm_model.identification.report.advice.advise", fail)
     output = tmp_path / "robot.yaml"
-    run = shared / "campaign" / "run_07"
-    assert run_identify(monkeypatch, run, "--output", output) == 2
-    assert "no advice" in capsys.readouterr().err
+    status, _, error = run(identify, shared / "campaign" / "run_07", "--output", output)
+    assert status == 2
+    assert "no advice" in error
     assert not output.exists()
 
 
