@@ -56,6 +56,7 @@ def test_limits_are_those_of_a_chart_for_individuals():
 GAIN = {"gain": (0.85, 0.87)}
 RISING = [87.0, 90.0, 86.0, 87.0, 88.0, 89.0, 90.0, 91.0]
 SLACKS = [0.0078, 0.0079, 0.0078, 0.0077, 0.0078, 0.0079, 0.0078, 0.0110, 0.0078, 0.0079]
+SHRINKING = [0.865, 0.866, *(0.866 * 0.97**k for k in range(1, 7))]  # drags the mean along
 SLOW = 90.0 + 0.1 * np.arange(6.0)
 
 
@@ -66,6 +67,7 @@ SLOW = 90.0 + 0.1 * np.arange(6.0)
         ("gain", [0.868], 0.01, GAIN, State.WITHIN, None, 0, ""),
         ("gain", [0.83], 0.01, GAIN, State.OUT, 0, -1, "stretched"),
         ("gain", [np.nan] * 8, 0.01, GAIN, State.NOT_IDENTIFIABLE, None, 0, ""),
+        ("gain", SHRINKING, 1e-9, None, State.TRENDING, 1, -1, "stretched"),
         ("slack", SLACKS, 1e-9, None, State.OUT, 7, 1, "re-tension"),
         ("viscous_friction", RISING, 1e-9, None, State.TRENDING, 2, 1, "clean the pipe"),
         ("viscous_friction", RISING[:-1], 1e-9, None, State.WITHIN, None, 0, ""),
@@ -87,16 +89,6 @@ def test_the_limits_of_a_file_contain_its_uncertainty_and_that_of_a_bag():
     limits = chart("gain", [0.83], 0.01, GAIN).limits
     reach = limits.high - limits.centre
     assert reach == pytest.approx(3.0 * np.hypot(0.01, 0.01) / 1.959964, rel=1e-5)
-
-
-def test_a_drift_began_where_it_set_in_though_it_drags_the_mean_along():
-    values = [0.865, 0.866, *(0.866 * 0.97**k for k in range(1, 7))]
-    found = chart("gain", values)
-    assert {(s.rule, s.direction) for s in found.signals} >= {
-        (drift.Rule.LIMIT, 1),
-        (drift.Rule.LIMIT, -1),
-    }
-    assert (found.state, found.began, found.direction) == (State.TRENDING, 1, -1)
 
 
 def test_a_bag_without_an_estimate_is_skipped():
@@ -127,10 +119,9 @@ def test_steady_series_are_seldom_reported():
 
 # Estimates of seed 4 rise and fall by chance for six bags in a row, by less than the uncertainty of one bag.
 @pytest.mark.night
-@pytest.mark.parametrize("seed", [4])
-def test_a_steady_robot_is_not_reported(seed):
+def test_a_steady_robot_is_not_reported():
     bags = [
-        estimate_bag(recording_of(robot_run(seed, k), f"bag{k}"), PAPER).estimates for k in range(6)
+        estimate_bag(recording_of(robot_run(4, k), f"bag{k}"), PAPER).estimates for k in range(6)
     ]
     for key in drift.ADVICE:
         found = drift.chart_of(key, [bag[key] for bag in bags], ParameterFile())

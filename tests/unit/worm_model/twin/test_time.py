@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from faulty_robots import ONSET, Fault, run_robots
 from twin_samples import run_of_rows
+from virtual_session import live_twin
 
 from worm_model.analysis.replay_metrics import report_replay
 from worm_model.gait import Gait
@@ -36,13 +37,8 @@ def jumped(rows: np.ndarray, time: float, by: float) -> np.ndarray:
     return rows
 
 
-def live(rows: np.ndarray, many: int = 40) -> list[Event]:
-    twin = Twin()
-    state = twin.start()
-    events: list[Event] = []
-    for k in range(0, len(rows), many):
-        events += twin.advance(state, rows[k : k + many]).events
-    return [*events, *twin.advance(state, rows[:0], to_the_end=True).events]
+def live(rows: np.ndarray) -> tuple[Event, ...]:
+    return live_twin(rows, many=40).events
 
 
 def replayed(rows: np.ndarray) -> Replay:

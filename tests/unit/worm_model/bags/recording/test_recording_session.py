@@ -3,6 +3,7 @@
 
 import errno
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,15 +18,8 @@ from worm_model.bags.recording.recorder import BagRecorder, Manifest
 from worm_model.bags.recording.recording_session import RING_BYTES, RecordingSession, after_crash
 
 TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
-LATCHED = Topic(
-    "/state",
-    "std_msgs/msg/UInt64",
-    0,
-    "uint64 data\n",
-    "ros2msg",
-    "cdr",
-    (("offered_qos_profiles", "- durability: transient_local\n"),),
-)
+QOS = ("offered_qos_profiles", "- durability: transient_local\n")
+LATCHED = replace(TOPIC, name="/state", metadata=(QOS,))
 SECOND = 10**9
 
 

@@ -112,12 +112,6 @@ def test_stored_conditions_that_cannot_be_used_are_reported(tmp_path: Path):
         recorded_robot(bag)
 
 
-@pytest.mark.parametrize("note", ["pipe", "=B"])
-def test_a_note_has_a_key_and_a_value(note: str):
-    with pytest.raises(ManifestError, match="KEY=VALUE"):
-        run_manifest(None, None, [note], ["record"], NOW)
-
-
 def test_an_argument_that_is_not_text_is_kept_with_escapes():
     manifest = run_manifest(None, None, [], ["record", "\udcff"], NOW)
     assert manifest.metadata["worm_run"]["command"] == "record \\udcff"
