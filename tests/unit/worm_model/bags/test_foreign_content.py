@@ -104,31 +104,27 @@ def test_idl_that_is_none_is_rejected_in_one_line():
     assert "\n" not in str(error.value)
 
 
-def write_no_topic(path: Path) -> None:
-    with new_bag(path):
-        pass
-
-
-def write_other_robot(path: Path) -> None:
-    with new_bag(path) as writer:
-        writer.write_all([text_message(10**18, text_topic("/other/power"))])
-
-
-def write_silent_worm(path: Path) -> None:
-    with new_bag(path) as writer:
-        writer.add_topic(topic_of("/worm/power", "worm_msgs/msg/Power"))
-
-
-@pytest.mark.parametrize("write", [write_no_topic, write_other_robot, write_silent_worm])
-def test_an_intact_bag_without_a_run_is_not_called_damaged(tmp_path, monkeypatch, run, write):
+@pytest.mark.parametrize(
+    ("topics", "messages"),
+    [
+        ([], []),
+        ([], [text_message(10**18, text_topic("/other/power"))]),
+        ([topic_of(POWER, "worm_msgs/msg/Power")], []),
+    ],
+    ids=["no topic", "another robot", "a silent worm"],
+)
+def test_an_intact_bag_without_a_run_is_not_called_damaged(
+    tmp_path, monkeypatch, run, topics, messages
+):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "bags").mkdir()
-    write(tmp_path / "bags" / "one")
+    with new_bag(tmp_path / "bags" / "one") as writer:
+        for topic in topics:
+            writer.add_topic(topic)
+        writer.write_all(messages)
     status, out, _ = run(bags, tmp_path / "bags", "--json")
     assert status == 0
     (row,) = json.loads(out)["runs"]
-    assert row["state"] == "no run"
-    assert row["gait"] is None
+    assert (row["state"], row["gait"]) == ("no run", None)
     assert row["notes"]
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
+from mcap_files import DEFINITION, TYPE, mcap_bytes, payload
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -32,15 +33,8 @@ from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.run_reader import read_run
 
-TYPE = "std_msgs/msg/UInt64"
 COUNT = 500
-TOPICS = [Topic(name, TYPE, 0, "uint64 data\n", "ros2msg", "cdr") for name in ("/a", "/b")]
-
-
-def payload(value: int) -> bytes:
-    return b"\x00\x01\x00\x00" + struct.pack("<Q", value)
-
-
+TOPICS = [Topic(name, TYPE, 0, DEFINITION, "ros2msg", "cdr") for name in ("/a", "/b")]
 FOREVER = QosTime(9223372036, 854775807)
 LATCHED = Qos(
     QosHistory.KEEP_LAST,
@@ -69,33 +63,19 @@ def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version
     return path
 
 
-def by_mcap(
-    path: Path,
-    *,
-    chunked: bool = True,
-    indexed: bool = True,
-    compression=CompressionType.ZSTD,
-    **options,
-) -> Path:
+UNINDEXED = {
+    "index_types": IndexType.NONE,
+    "use_summary_offsets": False,
+    "use_statistics": False,
+    "repeat_channels": False,
+}
+
+
+def by_mcap(path: Path, **options) -> Path:
     """Write channels /a and /b; messages in pairs that are out of order within a chunk and across chunks."""
-    indexes = {} if indexed else {"index_types": IndexType.NONE, "use_summary_offsets": False}
-    indexes |= {} if indexed else {"use_statistics": False, "repeat_channels": False}
-    with path.open("xb") as stream:
-        writer = Writer(
-            stream,
-            chunk_size=2000,
-            compression=compression,
-            use_chunking=chunked,
-            **indexes,
-            **options,
-        )
-        writer.start()
-        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
-        channels = [writer.register_channel(t, "cdr", schema) for t in ("/a", "/b")]
-        for i in range(0, COUNT, 2):
-            for k in (i + 1, i):
-                writer.add_message(channels[k % 2], k * 1000 + 1, payload(k), k * 1000)
-        writer.finish()
+    order = [k for i in range(0, COUNT, 2) for k in (i + 1, i)]
+    rows = [(("/a", "/b")[k % 2], k, k * 1000 + 1, k * 1000) for k in order]
+    path.write_bytes(mcap_bytes(("/a", "/b"), rows, chunk_size=2000, **options))
     return path
 
 
@@ -119,9 +99,11 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "mcap zstd": lambda d: by_mcap(d / "a.mcap"),
     "mcap lz4": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.LZ4),
     "mcap plain": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.NONE),
-    "mcap without chunks": lambda d: by_mcap(d / "a.mcap", chunked=False),
-    "mcap without index": lambda d: by_mcap(d / "a.mcap", indexed=False),
-    "mcap without chunks or index": lambda d: by_mcap(d / "a.mcap", chunked=False, indexed=False),
+    "mcap without chunks": lambda d: by_mcap(d / "a.mcap", use_chunking=False),
+    "mcap without index": lambda d: by_mcap(d / "a.mcap", **UNINDEXED),
+    "mcap without chunks or index": lambda d: by_mcap(
+        d / "a.mcap", use_chunking=False, **UNINDEXED
+    ),
     "mcap without schemas in the summary": lambda d: by_mcap(d / "a.mcap", repeat_schemas=False),
     "this writer": lambda d: by_worm_model(d / "bag"),
 }
@@ -167,21 +149,16 @@ def test_files_of_a_split_bag_are_one(tmp_path: Path):
 def test_equal_times_keep_the_order_of_the_file(tmp_path: Path, chunked: bool, indexed: bool):
     """Also if they are in several chunks, some of which begin before others end."""
     times = [(i // 50) * 50 - 60 * (i % 9 == 0) + 100 for i in range(COUNT)]
-    with (tmp_path / "a.mcap").open("xb") as stream:
-        kind = IndexType.ALL if indexed else IndexType.NONE
-        writer = Writer(stream, chunk_size=700, use_chunking=chunked, index_types=kind)
-        writer.start()
-        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
-        channels = [writer.register_channel(t, "cdr", schema) for t in ("/b", "/c", "/a")]
-        for i in range(COUNT):
-            writer.add_message(channels[i % 3], times[i], payload(i), i)
-        writer.finish()
+    topics = ("/b", "/c", "/a")
+    rows = [(topics[i % 3], i, times[i], i) for i in range(COUNT)]
+    options = {"chunk_size": 700, "use_chunking": chunked} | ({} if indexed else UNINDEXED)
+    (tmp_path / "a.mcap").write_bytes(mcap_bytes(topics, rows, **options))
     expected = sorted(range(COUNT), key=lambda i: times[i])
     with open_bag(tmp_path / "a.mcap") as bag:
         assert numbers(bag) == expected
         assert numbers(bag, ["/a", "/c"]) == [i for i in expected if i % 3]
         assert [m.publish_time for m in bag.messages()] == expected
-        assert [m.topic for m in bag.messages()] == [("/b", "/c", "/a")[i % 3] for i in expected]
+        assert [m.topic for m in bag.messages()] == [topics[i % 3] for i in expected]
         last = 0
         for block in bag.blocks():
             assert len(block) > 0

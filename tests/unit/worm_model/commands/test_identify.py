@@ -169,6 +169,8 @@ def test_bags_of_the_driver_are_read_from_rest_to_the_end_of_the_gait(name, dire
     recording = read_recordings([path])[0]
     assert recording.gait.direction == direction
     assert recording.at_rest.sum() >= 10
-    cycles = recording.command_time[-1] * recording.gait.frequency
-    assert cycles == pytest.approx(round(cycles), abs=0.02)
+    for time in (recording.camera_time, recording.power_time, recording.command_time):
+        assert -1.02 <= time[0] <= 0.0  # the driver was idle before
+        cycles = time[-1] * recording.gait.frequency
+        assert cycles == pytest.approx(round(cycles), abs=0.02)
     assert np.nanmax(direction * recording.x1) > 0.03

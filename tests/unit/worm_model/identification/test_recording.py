@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 from twin_samples import run_of_rows
-from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
+from virtual_campaign import Instruments, exact_run
 from virtual_session import Session
 
 from worm_model.errors import IdentificationError
@@ -94,38 +94,6 @@ def test_a_later_gait_counts_if_it_begins_at_the_start_of_the_first_one():
     assert not starts_apart([first, second])
     (message,) = starts_apart([first, replace(second, start=0.1)])
     assert all(fact in message for fact in ("r and r_gait_2", "100 mm"))
-
-
-def test_an_onset_that_is_published_again_with_each_cycle_is_one_run():
-    states = run().gait_state
-    reported = replace(
-        states,
-        **{
-            name: np.concatenate([getattr(states, name), getattr(states, name)[1:]])
-            for name in ("state", "stroke", "frequency", "direction", "margin", "cycle", "cycles")
-        },
-        stamp=np.concatenate([states.stamp, states.stamp[1:] + 4 * 10**9]),
-        onset=np.concatenate([states.onset, states.onset[1:] + 700]),
-    )
-    assert recording_of(run(gait_state=reported), "r").gait == GAIT
-
-
-def test_only_the_rest_before_the_gait_and_the_gait_count():
-    whole = run()
-    states = whole.gait_state
-    idle, times = 1, np.array([0.0, 1.0, 2.0, 6.0])
-    ended = GaitStates.of(
-        GAIT,
-        states.stamp[0] + (times * 1e9).astype(np.int64),
-        state=np.array([idle, RESTING, RUNNING, idle]),
-        onset=np.array([0, 0, states.onset[1], 0]),
-        cycle=np.array([0, 0, 1, 0]),
-        cycles=np.array([0, 1, 1, 0]),
-    )
-    found = recording_of(replace(whole, gait_state=ended), "r")
-    for time in (found.camera_time, found.power_time, found.command_time):
-        assert -1.01 <= time[0] <= 0.0
-        assert time[-1] == pytest.approx(4.0, abs=0.04)
 
 
 def test_commands_that_are_not_the_gait_are_rejected():
