@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A small simulated run for tests, with the messages that driver and tracker would publish."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,14 @@ import numpy as np
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.run_writer import write_run
 from worm_model.gait import Gait
-from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.run import (
+    GaitStates,
+    LengthSamples,
+    PowerSamples,
+    Run,
+    TrackerSamples,
+    concatenated,
+)
 from worm_model.simulation.simulator import simulate
 
 EPOCH = 1_800_000_000_000_000_000
@@ -16,6 +25,7 @@ REST_S, AFTER_S = 1.5, 0.3  # at rest before the gait, and recorded after it
 GAIT = Gait(0.07, 0.4)
 INITIAL_LENGTH = 0.2952
 RESTING, RUNNING, IDLE = 2, 3, 1
+SERIES = ("gait_state", "commanded", "measured", "tracker", "power")
 
 
 def simulated_run(cycles: int = 2, seed: int = 0) -> Run:
@@ -69,6 +79,33 @@ def _gait_states(cycles: int, end: float) -> GaitStates:
         cycle=cycle,
         cycles=np.full(times.size, cycles),
     )
+
+
+def later(run: Run, by: int, moved: float = 0.0) -> Run:
+    """Return the same run of a robot that was moved by a distance in m, later by some ns."""
+    states, tracker = run.gait_state, run.tracker
+    series = {
+        name: replace(getattr(run, name), stamp=getattr(run, name).stamp + by)
+        for name in ("commanded", "measured", "power")
+    }
+    places = (tracker.rear_position + moved, tracker.front_position + moved)
+    onset = np.where(states.onset > 0, states.onset + by, 0)
+    return replace(
+        run,
+        origin=run.origin + by,
+        gait_state=replace(states, stamp=states.stamp + by, onset=onset),
+        tracker=TrackerSamples(tracker.stamp + by, *places),
+        **series,
+    )
+
+
+def joined(runs: Sequence[Run]) -> Run:
+    """Return runs, one after the other, as one recording."""
+    series = {
+        name: concatenated(type(getattr(runs[0], name)), [getattr(run, name) for run in runs])
+        for name in SERIES
+    }
+    return Run(origin=runs[0].origin, **series)
 
 
 def write_bag(path: Path, run: Run, namespace: str = "/worm") -> Path:

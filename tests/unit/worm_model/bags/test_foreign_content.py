@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_run import simulated_run, write_bag
+from recorded_run import joined, later, simulated_run, write_bag
 
 from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.bag_writer import new_bag
@@ -22,9 +22,7 @@ from worm_model.bags.formats.message_types import SEPARATOR, parse_types, topic_
 from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.copies import write_part
 from worm_model.bags.run_reader import clock_offset, read_run
-from worm_model.bags.run_writer import write_run
 from worm_model.commands import bags, export
-from worm_model.run import Run
 
 RUN = simulated_run(cycles=1)
 POWER = "/worm/power"
@@ -208,7 +206,7 @@ def of_power(**changes: str) -> Callable[[Message], Message]:
     return change
 
 
-def later(message: Message, log_s: int, stamp_s: int) -> Message:
+def message_later(message: Message, log_s: int, stamp_s: int) -> Message:
     data = bytearray(message.data)
     struct.pack_into("<i", data, 4, struct.unpack_from("<i", data, 4)[0] + stamp_s)
     return message._replace(log_time=message.log_time + log_s * 10**9, data=bytes(data))
@@ -237,9 +235,13 @@ def test_unexpected_topics_are_reported(
 
 
 def test_stamps_that_go_back_are_reported(tmp_path: Path, recorded: list[Message]):
-    merged = written(tmp_path / "a", [*recorded, *(later(m, 1000, -1000) for m in recorded)])
+    merged = written(
+        tmp_path / "a", [*recorded, *(message_later(m, 1000, -1000) for m in recorded)]
+    )
     assert any(f"1 stamps of {POWER} go back" in line for line in reports_of(merged))
-    in_order = written(tmp_path / "b", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
+    in_order = written(
+        tmp_path / "b", [*recorded, *(message_later(m, 1000, 1000) for m in recorded)]
+    )
     assert reports_of(in_order) == []
 
 
@@ -260,30 +262,15 @@ def test_infinite_samples_are_left_out_which_is_reported(tmp_path: Path, value: 
 def test_runs_that_overlap_are_rejected(tmp_path: Path):
     """Two recordings merged by time are rejected; one after the other they are two runs."""
     longer = simulated_run(cycles=2)
-    with new_bag(tmp_path / "late") as writer:
-        write_run(writer, longer, "/worm")
-        write_run(writer, later_run(longer, 3_600 * SECOND), "/worm")
-    with open_bag(tmp_path / "late") as bag:
+    late = write_bag(tmp_path / "late", joined([longer, later(longer, HOUR)]))
+    with open_bag(late) as bag:
         assert len(read_run(bag).gait_state.rows_of_runs()) == 2
-    with new_bag(tmp_path / "mixed") as writer:
-        write_run(writer, longer, "/worm")
-        write_run(writer, later_run(longer, SECOND), "/worm")
+    mixed = write_bag(tmp_path / "mixed", joined([longer, later(longer, SECOND)]))
     with (
-        open_bag(tmp_path / "mixed", lambda _: None) as bag,
+        open_bag(mixed, lambda _: None) as bag,
         pytest.raises(BagError, match="runs of gaits overlap"),
     ):
         read_run(bag)
-
-
-def later_run(run: Run, by: int) -> Run:
-    """Return the same messages, later by some ns."""
-    states = run.gait_state
-    moved = {
-        name: replace(getattr(run, name), stamp=getattr(run, name).stamp + by)
-        for name in ("commanded", "measured", "tracker", "power")
-    }
-    onset = np.where(states.onset > 0, states.onset + by, 0)
-    return replace(run, gait_state=replace(states, stamp=states.stamp + by, onset=onset), **moved)
 
 
 def test_a_file_that_metadata_does_not_name_is_reported(tmp_path: Path, whole: Path):

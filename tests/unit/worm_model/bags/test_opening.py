@@ -12,22 +12,16 @@ import pytest
 import yaml
 from mcap.writer import CompressionType, IndexType
 from mcap_files import DEFINITION, TYPE, mcap_bytes, payload
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_typestore
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import qos_profiles
+from worm_model.bags.formats.bag_metadata import FOREVER, qos_profile, qos_profiles
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
+from worm_model.bags.formats.finding import bags_below
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import Bag, open_bag
@@ -35,18 +29,7 @@ from worm_model.bags.run_reader import read_run
 
 COUNT = 500
 TOPICS = [Topic(name, TYPE, 0, DEFINITION, "ros2msg", "cdr") for name in ("/a", "/b")]
-FOREVER = QosTime(9223372036, 854775807)
-LATCHED = Qos(
-    QosHistory.KEEP_LAST,
-    1,
-    QosReliability.RELIABLE,
-    QosDurability.TRANSIENT_LOCAL,
-    FOREVER,
-    FOREVER,
-    QosLiveliness.AUTOMATIC,
-    FOREVER,
-    avoid_ros_namespace_conventions=False,
-)
+LATCHED = qos_profile("keep_last", 1, "reliable", "transient_local", "automatic", FOREVER)
 
 
 def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int = 9) -> Path:
@@ -55,7 +38,9 @@ def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version
     with writer:
         store = get_typestore(Stores.ROS2_JAZZY)
         connections = [
-            writer.add_connection(t, TYPE, typestore=store, offered_qos_profiles=[LATCHED])
+            writer.add_connection(
+                t, TYPE, typestore=store, offered_qos_profiles=parse_qos([LATCHED])
+            )
             for t in ("/a", "/b")
         ]
         for i in range(COUNT):
@@ -127,10 +112,7 @@ def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str
         assert sum(len(block) for block in bag.blocks()) == COUNT
         assert sum(len(block) for block in bag.blocks(["/b"])) == COUNT // 2
         if "rosbags" in writer:
-            (profile,) = qos_profiles(bag.topics["/a"].offered_qos)
-            assert (profile["durability"], profile["depth"]) == ("transient_local", 1)
-            assert (profile["reliability"], profile["history"]) == ("reliable", "keep_last")
-            assert profile["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+            assert qos_profiles(bag.topics["/a"].offered_qos) == [LATCHED]
 
 
 def test_files_of_a_split_bag_are_one(tmp_path: Path):
@@ -274,3 +256,19 @@ def test_a_bag_without_definitions_is_read_by_the_installed_ones_if_they_fit(
         else:
             assert read_run(opened).power.power.tolist() == [2.5]
     assert any("no definitions of /worm/power;" in line for line in reported)
+
+
+def made(folder: Path, *names: str) -> None:
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+
+def test_a_folder_a_killed_recorders_folder_and_a_file_are_bags(tmp_path: Path):
+    made(tmp_path, "a/closed/metadata.yaml", "a/closed/x.mcap", "killed/killed_0.mcap")
+    made(tmp_path, "killed/killed_1.mcap", "loose/one.mcap", "loose/two.db3", "loose/notes.txt")
+    names = ["a/closed", "killed", "loose/one.mcap", "loose/two.db3"]
+    assert bags_below(tmp_path) == [tmp_path / name for name in names]
+    for bag in ("a/closed", "loose/one.mcap"):
+        assert bags_below(tmp_path / bag) == [tmp_path / bag]

@@ -62,13 +62,3 @@ def test_power_that_was_not_measured_is_nan():
     assert failed.any()
     assert np.isnan(power.power[power.status != POWER_VALID]).all()
     assert np.isfinite(power.power[power.status == POWER_VALID]).all()
-
-
-def test_the_killed_one_is_read_as_it_is():
-    before = {path: path.read_bytes() for path in (BAGS / "killed").iterdir()}
-    reported: list[str] = []
-    with open_bag(BAGS / "killed", reported.append) as opened:
-        assert opened.message_count == 3206
-    assert len(reported) == 1
-    assert {path: path.read_bytes() for path in (BAGS / "killed").iterdir()} == before
-    assert not (BAGS / "killed_recovered").exists()

@@ -23,7 +23,7 @@ from worm_model.identification import drift
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.drift import State
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
-from worm_model.identification.fits.estimate import Estimate, not_identifiable
+from worm_model.identification.fits.estimate import Estimate
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.run import Run, TrackerSamples
 
@@ -68,6 +68,7 @@ SLOW = 90.0 + 0.1 * np.arange(6.0)
         ("gain", [0.83], 0.01, GAIN, State.OUT, 0, -1, "stretched"),
         ("gain", [np.nan] * 8, 0.01, GAIN, State.NOT_IDENTIFIABLE, None, 0, ""),
         ("gain", SHRINKING, 1e-9, None, State.TRENDING, 1, -1, "stretched"),
+        ("idle_power", [1, 2, 3, np.nan, 4, 5, 6], 1e-9, None, State.TRENDING, 0, 1, "at rest"),
         ("slack", SLACKS, 1e-9, None, State.OUT, 7, 1, "re-tension"),
         ("viscous_friction", RISING, 1e-9, None, State.TRENDING, 2, 1, "clean the pipe"),
         ("viscous_friction", RISING[:-1], 1e-9, None, State.WITHIN, None, 0, ""),
@@ -78,7 +79,7 @@ SLOW = 90.0 + 0.1 * np.arange(6.0)
 def test_a_chart_names_state_begin_and_direction(
     key, values, half, intervals, state, began, direction, advice
 ):
-    """A trend takes six bags in one direction and more than the uncertainty of a bag."""
+    """A trend takes six bags in one direction and more than the uncertainty of a bag; NaN is skipped."""
     found = chart(key, values, half, intervals)
     assert (found.state, found.began, found.direction) == (state, began, direction)
     assert advice in found.advice
@@ -89,14 +90,6 @@ def test_the_limits_of_a_file_contain_its_uncertainty_and_that_of_a_bag():
     limits = chart("gain", [0.83], 0.01, GAIN).limits
     reach = limits.high - limits.centre
     assert reach == pytest.approx(3.0 * np.hypot(0.01, 0.01) / 1.959964, rel=1e-5)
-
-
-def test_a_bag_without_an_estimate_is_skipped():
-    rows = [Estimate(v, v, v) for v in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)]
-    rows.insert(3, not_identifiable(99.0, "no power at rest"))
-    chart = drift.chart_of("idle_power", rows, ParameterFile())
-    assert np.isnan(chart.value[3])
-    assert {s.rule: (s.first, s.last) for s in chart.signals}[drift.Rule.MONOTONE] == (0, 6)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=5, max_size=30), st.floats(0.0, 10.0))

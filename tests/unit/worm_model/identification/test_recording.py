@@ -3,10 +3,10 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
+from recorded_run import joined, later
 from scipy.stats import t as student
 from twin_samples import run_of_rows
 from virtual_campaign import Instruments, exact_run
@@ -58,28 +58,9 @@ def test_a_run_without_a_needed_topic_is_rejected_by_its_name(field, nothing, to
         recording_of(run(**{field: nothing}), "r")
 
 
-def twice(later: float, moved: float) -> Run:
+def twice(later_s: float, moved: float) -> Run:
     """Return a run followed by itself, later by a time in s and further by a distance in m."""
-    one, shift = run(), round(later * 1e9)
-
-    def repeated(samples: Any, **moves: float) -> Any:
-        both = {
-            name: np.concatenate(
-                [values, values + (shift if name == "stamp" else moves.get(name, 0))]
-            )
-            for name, values in vars(samples).items()
-        }
-        return type(samples)(**both)
-
-    states = repeated(one.gait_state)
-    states.onset[2:] += shift * (states.onset[2:] > 0)
-    return replace(
-        one,
-        gait_state=states,
-        commanded=repeated(one.commanded),
-        tracker=repeated(one.tracker, rear_position=moved, front_position=moved),
-        power=repeated(one.power),
-    )
+    return joined([exact(), later(exact(), round(later_s * 1e9), moved)])
 
 
 def test_a_later_gait_counts_if_it_begins_at_the_start_of_the_first_one():

@@ -63,25 +63,6 @@ def test_idl_as_rosidl_emits_it_gives_the_fields_of_the_same_message(name: str):
     assert parse_types(name, idl, "ros2idl") == fields
 
 
-def test_the_layout_is_that_of_rosbag2(tmp_path: Path, monkeypatch):
-    texts = {
-        "a/Root": "b/Leaf leaf\nTwin[2] twins\nint8 K=3  # b/No no\n",
-        "b/Leaf": "string<=5 name 'x'\n",
-        "a/Twin": "b/Leaf leaf\n",
-    }
-    for name, text in texts.items():
-        package, kind = name.split("/")
-        folder = tmp_path / "share" / package / "msg"
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{kind}.msg").write_text(text)
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    assert installed_definition("a/msg/Root") == (
-        texts["a/Root"]
-        + f"\n{'=' * 80}\nMSG: b/Leaf\n{texts['b/Leaf']}"
-        + f"\n{'=' * 80}\nMSG: a/Twin\n{texts['a/Twin']}"
-    )
-
-
 @pytest.mark.parametrize(
     "name", ["Tracker", "worm_msgs/Tracker", "worm_msgs//Tracker", "", "no_msgs/msg/Such"]
 )
