@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from recorded_run import GAIT, REST_S, simulated_run
-from virtual_campaign import bench_tests
 
 from worm_model.parameters import PAPER
 from worm_model.run import Run
@@ -17,14 +16,19 @@ _ONSET_S = 2.0  # of a lab's runs
 
 
 def write_bench_tests(folder: Path) -> tuple[Path, Path]:
-    """Write bellows.csv and fin.csv of the paper's robot."""
-    paths = folder / "bellows.csv", folder / "fin.csv"
-    heads = "compression_m,force_N", "displacement_m,force_N"
-    for path, head, test in zip(
-        paths, heads, bench_tests(PAPER, np.random.default_rng(1)), strict=True
+    """Write bellows.csv and fin.csv of the paper's robot, with noise of 20 mN."""
+    compression = np.linspace(0.0, 0.06, 13)
+    stretch = np.linspace(-0.008, 0.008, 65)
+    force = PAPER.engaged_stiffness * np.minimum(stretch + 0.5 * PAPER.clearance, 0.0)
+    force += PAPER.disengaged_stiffness * np.maximum(stretch - 0.5 * PAPER.clearance, 0.0)
+    noise = np.random.default_rng(1)
+    bellows, fin = folder / "bellows.csv", folder / "fin.csv"
+    for path, head, x, y in (
+        (bellows, "compression_m,force_N", compression, PAPER.bellows_stiffness * compression),
+        (fin, "displacement_m,force_N", stretch, force),
     ):
-        write_table(path, head, test.x, test.y)
-    return paths
+        write_table(path, head, x, y + noise.normal(0.0, 0.02, y.size))
+    return bellows, fin
 
 
 def write_lab(folder: Path, name: str = "run_01", cycles: int = 5) -> Path:

@@ -8,68 +8,58 @@ import numpy as np
 from recorded_run import EPOCH, GAIT, IDLE, INITIAL_LENGTH, RESTING, RUNNING, power_samples
 
 from worm_driver.virtual_robot.plant import Plant, PlantEffects, make_grooves
-from worm_model.gait import FORWARD, Gait
+from worm_model.gait import FORWARD
 from worm_model.parameters import PAPER
-from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples, concatenated
+from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
 from worm_msgs.robot_parameters import RobotParameters
 
 STEP_S, REST_S, PAUSE_S = 1e-3, 2.0, 6.0
 POWER_W = 1.5  # constant, as this robot's power sensor is a dummy
 CYCLES = 4, 5
-TURNED_S = 3.0, 3.2  # after the first gait, while the fins turn
 
 
-def joined_session(second: Gait = GAIT, release_s: float = 0.5) -> Run:
-    """Return one recording of `GAIT` and another gait; the slack returns ``release_s`` after the cable's last pull."""
-    gaits = GAIT, second
+def joined_session() -> Run:
+    """Return one recording of `GAIT`, played twice."""
     onsets = 0.0, CYCLES[0] * GAIT.period + PAUSE_S
-    played = list(zip(gaits, onsets, CYCLES, strict=True))
-    ends = [onset + count * gait.period for gait, onset, count in played]
+    ends = [onset + count * GAIT.period for onset, count in zip(onsets, CYCLES, strict=True)]
     time = np.arange(round(-REST_S / STEP_S), round((ends[1] + 0.3) / STEP_S)) * STEP_S
     command = np.zeros_like(time)
-    for gait, onset, end in zip(gaits, onsets, ends, strict=True):
+    for onset, end in zip(onsets, ends, strict=True):
         running = (time >= onset) & (time < end)
-        command[running] = gait.command(time[running] - onset)
-    turned = np.where(time > ends[0] + TURNED_S[1], second.direction, FORWARD)
-    if second.direction != FORWARD:
-        turned[(time > ends[0] + TURNED_S[0]) & (time <= ends[0] + TURNED_S[1])] = 0
-    stamp = _stamp(time)
-    x1, x2 = _positions(command, turned, release_s)[::33].T
-    states = [
-        GaitStates.of(
-            gait,
-            _stamp(np.array([onset - 1.5, onset, end])),
-            state=np.array([RESTING, RUNNING, IDLE]),
-            onset=int(_stamp(np.array(onset))) * np.array([0, 1, 1]),
-            cycle=np.array([0, 1, count]),
-            cycles=np.full(3, count),
-        )
-        for (gait, onset, count), end in zip(played, ends, strict=True)
-    ]
+        command[running] = GAIT.command(time[running] - onset)
+    stamp = EPOCH + np.rint(time * 1e9).astype(np.int64)
+    x1, x2 = _positions(command)[::33].T
+    power = np.full(time[::20].size, POWER_W)
+    times = [at for on, end in zip(onsets, ends, strict=True) for at in (on - 1.5, on, end)]
+    begins = EPOCH + np.rint(1e9 * np.repeat(onsets, 3)).astype(np.int64)
+    known, cycles = np.tile([0, 1, 1], 2), np.repeat(CYCLES, 3)
     return Run(
         origin=int(stamp[0]),
         commanded=LengthSamples(stamp[::20], INITIAL_LENGTH + command[::20], command[::20]),
         measured=LengthSamples(stamp[::33], x2 - x1, x2 - x1 - INITIAL_LENGTH),
         tracker=TrackerSamples(stamp[::33], x1, x2),
-        power=power_samples(stamp[::20], np.full(time[::20].size, POWER_W)),
-        gait_state=concatenated(GaitStates, states),
+        power=power_samples(stamp[::20], power),
+        gait_state=GaitStates.of(
+            GAIT,
+            EPOCH + np.rint(1e9 * np.array(times)).astype(np.int64),
+            state=np.tile([RESTING, RUNNING, IDLE], 2),
+            onset=begins * known,
+            cycle=np.where(np.tile([0, 0, 1], 2), cycles, known),
+            cycles=cycles,
+        ),
     )
 
 
-def _stamp(time: np.ndarray) -> np.ndarray:
-    return EPOCH + np.rint(time * 1e9).astype(np.int64)
-
-
-def _positions(command: np.ndarray, turned: np.ndarray, release_s: float) -> np.ndarray:
-    """Return x1 and x2 (n, 2), m, of a robot with the paper's parameters, equal grooves and fins turned so."""
+def _positions(command: np.ndarray) -> np.ndarray:
+    """Return x1 and x2 (n, 2), m, of a robot with the paper's parameters and equal grooves."""
     names = (field.name for field in dataclasses.fields(RobotParameters))
     body = RobotParameters(**{name: getattr(PAPER, name) for name in names})
-    effects = PlantEffects(0.0, 0.0, 1e-4, release_s)
+    effects = PlantEffects(0.0, 0.0, 1e-4, 0.5)
     grooves = make_grooves(body, effects, 0)
     plant = Plant(body, effects, grooves, grooves, STEP_S)
     states = itertools.accumulate(
-        zip(command.tolist(), turned.tolist(), strict=True),
-        lambda state, step: plant.step(state, step[0], (step[1], step[1])),
+        command.tolist(),
+        lambda state, u: plant.step(state, u, (FORWARD, FORWARD)),
         initial=plant.at_rest(),
     )
     return np.array([plant.positions(state) for state in itertools.islice(states, 1, None)])

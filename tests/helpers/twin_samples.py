@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from typing import ClassVar
@@ -89,6 +90,7 @@ class TwinOutput:
 
     states: list
     residuals: list
+    lengths: list
     notices: list[Event]
 
 
@@ -116,12 +118,13 @@ def follow(
     return TwinOutput(
         states=[_Record(row) for output in outputs for row in output.states],
         residuals=[_Record(row, message) for row, message in residuals],
+        lengths=[_Record(row) for output in outputs for row in output.lengths],
         notices=[event for output in outputs for event in output.events],
     )
 
 
 class _Record:
-    """Row with attributes."""
+    """Row with attributes; equal if every number is bitwise equal."""
 
     def __init__(self, row: np.void, message: str = "") -> None:
         self._row, self.message = row.item(), message
@@ -134,6 +137,17 @@ class _Record:
 
     def __repr__(self) -> str:
         return f"{self._row} {self.message}"
+
+    def __eq__(self, other: object) -> bool:
+        return repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+
+def finite(values: Sequence[float]) -> list[float]:
+    """Return the values that are finite."""
+    return [value for value in values if math.isfinite(value)]
 
 
 def run_of_rows(rows: np.ndarray, memories: Sequence[tuple[int, str]] = ()) -> Run:
