@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recorded_run import Instruments, exact_run
 from scipy.stats import t as student
 from twin_samples import run_of_rows
-from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
 from virtual_session import Session
 
 from worm_model.errors import IdentificationError
@@ -21,7 +21,7 @@ from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import longest_gap, remarks, starts_apart, usable
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.parameters import PAPER
-from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
+from worm_model.run import Activity, GaitStates, LengthSamples, Run, TrackerSamples
 
 GAIT = Gait(0.08, 0.25)
 
@@ -113,11 +113,11 @@ def test_an_onset_that_is_published_again_with_each_cycle_is_one_run():
 def test_only_the_rest_before_the_gait_and_the_gait_count():
     whole = run()
     states = whole.gait_state
-    idle, times = 1, np.array([0.0, 1.0, 2.0, 6.0])
+    idle, times = Activity.IDLE, np.array([0.0, 1.0, 2.0, 6.0])
     ended = GaitStates.of(
         GAIT,
         states.stamp[0] + (times * 1e9).astype(np.int64),
-        state=np.array([idle, RESTING, RUNNING, idle]),
+        state=np.array([idle, Activity.RESTING, Activity.RUNNING, idle]),
         onset=np.array([0, 0, states.onset[1], 0]),
         cycle=np.array([0, 0, 1, 0]),
         cycles=np.array([0, 1, 1, 0]),
@@ -146,7 +146,7 @@ def test_times_count_from_the_onset_and_x1_from_rest():
     found = recording_of(run(tracker=moved), "r")
     assert found.x1 == pytest.approx(recording().x1)
     assert found.command_time[0] == found.command[0] == 0.0
-    assert found.camera_time[0] == pytest.approx(-2.0, abs=1e-3)
+    assert found.camera_time[0] == pytest.approx(-1.997, abs=1e-3)
     assert abs(np.mean(found.x1[found.at_rest])) < 1e-4
 
 
