@@ -17,11 +17,10 @@ from types import MappingProxyType
 
 import serial
 
-from worm_driver.clock import Traffic
+from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import CycleSnapshot, Robot
-from worm_driver.driver_errors import BusError
 from worm_driver.gait.gait_player import Phase, PlayerSettings
 from worm_driver.power import socket_smbus as frames
 from worm_driver.power.i2c import I2CDevice
@@ -46,21 +45,15 @@ BYTE_TIME = 10 / BAUD_RATE
 CABLE = 1
 
 
-class Clock:
+class Clock(MachineClock):
     """Clock that stands still until a test sets it, s."""
 
-    epoch_ns = None
-    least_timeout = 0.0
-
     def __init__(self) -> None:
+        super().__init__()
         self.now = 0.0
-        self.traffic = Traffic()
 
     def __call__(self) -> float:
         return self.now
-
-    def close(self) -> None:
-        return None
 
 
 class Wire:
@@ -137,6 +130,9 @@ class SimulatedPort(BusPort):
 
     def writePort(self, packet) -> int:
         return self.ser.write(packet)
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        return True
 
     def closePort(self) -> None:
         self.is_open = False
@@ -477,12 +473,3 @@ def idle() -> Rig:
 def moving() -> Rig:
     """Return a rig of its own in a gait, at full speed."""
     return _moving().copy()
-
-
-def silent(bus: ServoBus, servo: int) -> bool:
-    """Return True if a servo does not answer a ping."""
-    try:
-        bus.ping(servo)
-    except BusError:
-        return True
-    return False

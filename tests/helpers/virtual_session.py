@@ -61,22 +61,13 @@ def virtual_settings(seed: int = 1, **changes: object) -> RobotSettings:
     return replace(installed_robot(), seed=seed, **changes)
 
 
-class _Rig(Rig):
-    """Rig that counts the valid power samples of a long session instead of storing them."""
-
-    valid = 0
-
-    def _valid_samples(self) -> int:
-        return self.valid + super()._valid_samples()
-
-
 class Session:
     """One graph: a driver, and a virtual robot that continues from gait to gait."""
 
     def __init__(
         self, virtual: RobotSettings | None = None, driver: DriverSettings | None = None
     ) -> None:
-        self.rig: Rig = _Rig(driver, VirtualRobot(virtual or virtual_settings()))
+        self.rig = Rig(driver, VirtualRobot(virtual or virtual_settings()))
         self.camera = True
         self.played: list[Played] = []
         self._rows: list[tuple[float, ...]] = []
@@ -162,7 +153,6 @@ class Session:
         for sample in rig.samples:
             if sample.status is SampleStatus.VALID:
                 self._add(SampleKind.POWER, sample.time, sample.power)
-        rig.valid = rig._valid_samples()
         rig.samples.clear()
         for sample in rig.virtual.take_samples():
             if self.camera:

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_run import write_bag
-from virtual_campaign import Instruments, exact_run
+from recorded_run import Instruments, exact_run, write_bag
 
 from worm_model.commands import identify
 from worm_model.commands.import_lab import import_lab

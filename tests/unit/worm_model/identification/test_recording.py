@@ -6,10 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from recorded_run import joined, later
+from recorded_run import Instruments, exact_run, joined, later
 from scipy.stats import t as student
 from twin_samples import run_of_rows
-from virtual_campaign import Instruments, exact_run
 from virtual_session import Session
 
 from worm_model.errors import IdentificationError
@@ -95,7 +94,7 @@ def test_times_count_from_the_onset_and_x1_from_rest():
     found = recording_of(run(tracker=moved), "r")
     assert found.x1 == pytest.approx(recording().x1)
     assert found.command_time[0] == found.command[0] == 0.0
-    assert found.camera_time[0] == pytest.approx(-2.0, abs=1e-3)
+    assert found.camera_time[0] == pytest.approx(-1.997, abs=1e-3)
     assert abs(np.mean(found.x1[found.at_rest])) < 1e-4
 
 
