@@ -25,6 +25,24 @@ from worm_model.simulation.kernel.linear import (
 from worm_model.simulation.kernel.work import cable_work
 from worm_model.simulation.simulator import evaluate_gait, simulate
 
+SLOW_BODY = PAPER.replace(front_mass=0.3, viscous_friction=20000.0, time_constant=10.0)
+SHORT_CONTRACTION = Gait(
+    0.07, 0.06, pretension=0.04, contraction_share=0.01, profile=Profile.TRAPEZOID
+)
+
+
+def test_power_at_a_zero_root_agrees_with_a_quadrature() -> None:
+    result = evaluate_gait(SHORT_CONTRACTION, SLOW_BODY)
+    trajectory = simulate(SHORT_CONTRACTION, SLOW_BODY)
+    # Before each event and densely between them, because the power jumps at events.
+    borders = [0.0, *(event.time for event in trajectory.events()), trajectory.duration]
+    cycles = np.linspace(2.0, 5.0, 60_001) * SHORT_CONTRACTION.period
+    times = np.unique(np.concatenate([cycles, [t for t in borders if t >= cycles[0]]]))
+    power = np.trapezoid(trajectory.at(times).power, times) / (times[-1] - times[0])
+    assert result.power == pytest.approx(power, rel=1e-4)
+    assert result.power == pytest.approx(1.0987, abs=1e-4)
+
+
 SIZES = st.floats(-3.0, 3.0)
 ROBOTS = st.tuples(
     st.floats(0.05, 3.0),  # mass, kg
