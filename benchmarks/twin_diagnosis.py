@@ -263,12 +263,10 @@ def _compliant(gait: Gait, parameters: Parameters) -> list[Healthy]:
     )
     rehearsal = run_offline(settings, gait.length_change, (CYCLES + 0.1) * gait.period, REST)
     tracked = run_of(rehearsal, gait, settings)
-    length = tracked.tracker.front_position - tracked.tracker.rear_position
-    lengths = LengthSamples(tracked.tracker.stamp, length, length - parameters.initial_length)
     found = []
     for seen_by, run in (
-        (TRACKER, replace(tracked, measured=lengths)),
-        (ALONE, replace(tracked, tracker=TrackerSamples())),
+        (TRACKER, tracked),
+        (ALONE, replace(tracked, tracker=TrackerSamples(), measured=LengthSamples())),
     ):
         replay = replay_run(run, parameters)
         health = replay.residuals["health"]

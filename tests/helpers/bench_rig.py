@@ -13,33 +13,24 @@ from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader
 READING = {Instruction.PING, Instruction.READ, Instruction.SYNC_READ}
 
 
-class _RatedPort(SimulatedPort):
-    """Port that can be opened again with another baud rate."""
-
-    def setupPort(self, cflag_baud: int) -> bool:
-        return True
-
-
 class Bench:
-    """Servo bus, its clock, and the instructions that were sent.
+    """Servo bus and its clock.
 
     Args:
         receive: returns the answers to bytes at a time (s) and baud rate (bit/s), as `VirtualRobot.receive`.
     """
 
     def __init__(self, receive: Callable[[bytes, float, int], list[Transmission]]):
-        self.clock = Clock()
-        self.sent: list[Packet] = []
-        self._receive = receive
-        self._reader = InstructionReader(1.0)
-        self._port = _RatedPort(Wire(self.clock, self._answer), self.clock)
-        self.bus = ServoBus(self._port)
+        def answer(data: bytes, now: float) -> list[tuple[float, bytes]]:
+            return [(t.time, t.data) for t in receive(data, now, port.baudrate)]
 
-    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
-        self.sent += self._reader.feed(data, now)
-        return [(t.time, t.data) for t in self._receive(data, now, self._port.baudrate)]
+        self.clock = Clock()
+        self._wire = Wire(self.clock, answer)
+        port = SimulatedPort(self._wire, self.clock)
+        self.bus = ServoBus(port)
 
     @property
     def written(self) -> list[Packet]:
         """Instructions that change something."""
-        return [packet for packet in self.sent if packet.instruction not in READING]
+        sent = InstructionReader(1.0).feed(b"".join(self._wire.sent), self.clock.now)
+        return [packet for packet in sent if packet.instruction not in READING]

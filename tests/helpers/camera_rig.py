@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rendered_images import CameraSettings, axes_of
+from rendered_images import CameraSettings, pixels_of
 
 from worm_driver.tracking.camera_model import CameraModel
-from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker, TrackerSetup
+from worm_driver.tracking.tracker_setup import ModuleLine, TrackerSetup, load_setup
 from worm_driver.tracking.vision import Detection
 
 Array = NDArray[np.float64]
@@ -28,15 +28,8 @@ def model_of(settings: CameraSettings) -> CameraModel:
 
 def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
     """Return the setup that a lab would write for a rig before the camera of `SETTINGS`."""
-    setup = TrackerSetup(
-        dictionary="DICT_4X4_50",
-        marker_size=settings.marker_size,
-        rear=ModuleMarker(0, 0.0),
-        front=ModuleMarker(1, 0.0),
-        line=ModuleLine(*settings.module_line),
-        reference=settings.reference,
-        camera_info=str(SETUP_FILE.with_name("camera_info.yaml")),
-    )
+    own = {"marker_size": settings.marker_size, "line": ModuleLine(*settings.module_line)}
+    setup = replace(load_setup(SETUP_FILE), reference=settings.reference, **own)
     return replace(setup, **changes)  # type: ignore[arg-type]
 
 
@@ -45,23 +38,6 @@ class PaperCamera:
 
     def __init__(self, settings: CameraSettings = SETTINGS) -> None:
         self.settings = settings
-
-    def pixels(self, points: Array) -> Array:
-        """Return the pixels, shape (n, 2), of points in the pipe's frame, shape (n, 3), m."""
-        s = self.settings
-        seen = (points - np.array(s.position)) @ axes_of(s).T
-        x, y = (seen[:, :2] / seen[:, 2:]).T
-        k1, k2, p1, p2, k3 = s.distortion
-        r2 = x * x + y * y
-        radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        bent = np.stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-            ],
-            axis=1,
-        )
-        return bent * s.focal + np.array(s.centre)
 
     def marker(
         self,
@@ -74,7 +50,7 @@ class PaperCamera:
         half = size / 2.0
         corners = np.array([[-half, 0, half], [half, 0, half], [half, 0, -half], [-half, 0, -half]])
         turned = corners if tilt is None else corners @ tilt.T
-        return Detection(number, self.pixels(turned + np.array(centre)), 0.3)
+        return Detection(number, pixels_of(self.settings, turned + np.array(centre)), 0.3)
 
     def references(self) -> list[Detection]:
         """Return all reference markers of the rig."""

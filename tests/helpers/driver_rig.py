@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 import serial
 
-from worm_driver.clock import Traffic
+from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import CycleSnapshot, Robot
@@ -47,15 +47,12 @@ BYTE_TIME = 10 / BAUD_RATE
 CABLE = 1
 
 
-class Clock:
+class Clock(MachineClock):
     """Clock that stands still until a test sets it, s."""
 
-    epoch_ns = None
-    least_timeout = 0.0
-
     def __init__(self) -> None:
+        super().__init__()
         self.now = 0.0
-        self.traffic = Traffic()
 
     def __call__(self) -> float:
         return self.now
@@ -141,6 +138,9 @@ class SimulatedPort(BusPort):
 
     def writePort(self, packet) -> int:
         return self.ser.write(packet)
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        return True
 
     def closePort(self) -> None:
         self.is_open = False

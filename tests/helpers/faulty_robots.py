@@ -18,7 +18,9 @@ from numba import njit
 
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import Activity
+from worm_model.twin.data.records import Event
 from worm_model.twin.data.samples import SampleKind, sample_rows
+from worm_model.twin.twin import Output, Twin
 from worm_msgs.gait import GAIT_UNITS, Gait
 
 ONSET = 1_700_000_000_000_000_000
@@ -371,3 +373,14 @@ def _parameters(
         spread = 0.0 if field.name in NOT_SPREAD else lab.spread
         found[field.name] = getattr(truth, field.name) * np.exp(draw.normal(0.0, spread, count))
     return found
+
+
+def followed(rows: np.ndarray, parameters: Parameters = PAPER) -> Output:
+    """Return the output of a twin for all samples at once."""
+    twin = Twin(parameters)
+    return twin.advance(twin.start(), rows, to_the_end=True)
+
+
+def causes(rows: np.ndarray) -> list[Event]:
+    """Return the twin's events that name a cause."""
+    return [event for event in followed(rows).events if event.code]

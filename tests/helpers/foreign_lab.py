@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from foreign_robot import Camera, ForeignRobot, crawl
-from lab_files import write_logs, write_table
+from lab_files import add_run, write_bench_tests
 
 from worm_model.gait import Gait
+from worm_model.identification.inputs import BenchTest
 
 # Gaits and cycles that pass five ridges
 PLAN = (
@@ -38,15 +38,10 @@ def write_foreign_lab(
     plan: Sequence[tuple[Gait, int]] = PLAN,
 ) -> Path:
     """Write the folder of a lab: one run per gait of the plan, all from the same grooves, and the bench tests."""
-    folder.mkdir(parents=True)
-    gaits = {}
     for number, (gait, cycles) in enumerate(plan, 1):
-        name = f"run_{number:02}"
-        write_logs(folder / name, crawl(robot, gait, cycles, camera, number).run)
-        gaits[name] = {"stroke_m": gait.stroke, "frequency_Hz": gait.frequency}
-    (folder / "runs.json").write_text(json.dumps(gaits))
+        add_run(folder, f"run_{number:02}", gait, crawl(robot, gait, cycles, camera, number).run)
     random = np.random.default_rng([robot.pipe, 13])
-    _write_bench_tests(folder, robot, random)
+    write_bench_tests(folder, _bench_tests(robot, random))
     mass = 1e-3 * np.round(1e3 * (robot.mass + random.normal(0.0, 5e-4, 2)))
     length = robot.free_length + random.normal(0.0, 2.5e-4)
     pitch = robot.pitch + random.normal(0.0, 2.5e-5)
@@ -56,20 +51,17 @@ def write_foreign_lab(
     return folder
 
 
-def _write_bench_tests(folder: Path, robot: ForeignRobot, random: np.random.Generator) -> None:
-    """Write both tests, each up and down again, with hysteresis and noise."""
-    up = np.linspace(0.0, 0.07, 18)
-    compression = np.concatenate([up, up[::-1]])
-    way = np.repeat([0.5, -0.5], up.size)
-    force = robot.bellows_stiffness * compression + BELLOWS_HYSTERESIS_N * way
-    noise = random.normal(0.0, FORCE_NOISE_N, (2, 96))
-    write_table(folder / "bellows.csv", "compression_m,force_N", compression, force + noise[0, :36])
-    out = np.linspace(-0.012, 0.012, 48)
-    x = np.concatenate([out, out[::-1]])
-    half = 0.5 * robot.clearance
-    force = robot.engaged_stiffness * np.minimum(x + half, 0.0)
-    force += robot.disengaged_stiffness * np.maximum(x - half, 0.0)
-    way = np.repeat([0.5, -0.5], out.size) * (np.abs(x) > half)
-    write_table(
-        folder / "fin.csv", "displacement_m,force_N", x, force + robot.hysteresis_N * way + noise[1]
-    )
+def _bench_tests(robot: ForeignRobot, random: np.random.Generator) -> list[BenchTest]:
+    """Return both tests, each up and down again, with hysteresis and noise."""
+    compression, x = np.linspace(0.0, 0.07, 18), np.linspace(-0.012, 0.012, 48)
+    beyond = x - np.clip(x, -0.5 * robot.clearance, 0.5 * robot.clearance)
+    stiffness = np.where(x < 0.0, robot.engaged_stiffness, robot.disengaged_stiffness)
+    tests = []
+    for at, force, hysteresis in (
+        (compression, robot.bellows_stiffness * compression, BELLOWS_HYSTERESIS_N),
+        (x, stiffness * beyond, robot.hysteresis_N * (beyond != 0.0)),
+    ):
+        seen = np.concatenate([force + 0.5 * hysteresis, (force - 0.5 * hysteresis)[::-1]])
+        seen += random.normal(0.0, FORCE_NOISE_N, seen.size)
+        tests.append(BenchTest(np.concatenate([at, at[::-1]]), seen, ""))
+    return tests

@@ -14,17 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from recorded_run import power_samples
+from recorded_run import EPOCH as EPOCH
+from recorded_run import make_run
 
 from worm_model.gait import Gait
-from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
+from worm_model.run import Run
 
 STEP_S = 1e-4
 REST_S, AFTER_S = 2.0, 1.0
 COMMAND_HZ, POWER_HZ = 100, 100
 GROOVES = 512
-EPOCH = 1_700_000_000_000_000_000
-RESTING, RUNNING, IDLE = 2, 3, 1
 
 
 @dataclass(frozen=True)
@@ -230,38 +229,22 @@ def _recording(
 ) -> Run:
     random = np.random.default_rng([seed, robot.pipe, 11])
 
-    def stamps(at: np.ndarray) -> np.ndarray:
-        return EPOCH + np.rint(at * 1e9).astype(np.int64)
-
     def sampled(values: np.ndarray, at: np.ndarray) -> np.ndarray:
         return np.interp(at, time, values)
 
     frames = np.arange(-REST_S, time[-1], 1.0 / camera.rate_hz)
     noise = random.normal(0.0, camera.noise_m, (2, frames.size))
     rear, front = (sampled(motion[k], frames - camera.delay_s) + noise[k] for k in range(2))
-    length = front - rear
-    resting = float(np.median(length[frames < 0.0]))
     commands = np.arange(-REST_S, time[-1], 1.0 / COMMAND_HZ)
-    goal = sampled(command, commands)
     readings = np.arange(-REST_S, time[-1], 1.0 / POWER_HZ)
     watts = robot.idle_power + robot.power_factor * sampled(motion[5], readings)
     watts += random.normal(0.0, camera.power_noise_W, readings.size)
-    starts = np.concatenate([[-1.5], np.arange(cycles) * gait.period, [cycles * gait.period]])
-    onset = np.zeros(cycles + 2, np.int64)
-    onset[1:-1] = EPOCH
-    return Run(
-        origin=int(stamps(frames[:1])[0]),
-        commanded=LengthSamples(stamps(commands), resting + goal, goal),
-        measured=LengthSamples(stamps(frames), length, length - resting),
-        tracker=TrackerSamples(stamps(frames), rear, front),
-        power=power_samples(stamps(readings), watts),
-        gait_state=GaitStates.of(
-            gait,
-            stamps(starts),
-            state=np.array([RESTING, *[RUNNING] * cycles, IDLE]),
-            onset=onset,
-            cycle=np.array([0, *range(1, cycles + 1), cycles]),
-            cycles=np.full(cycles + 2, cycles),
-            run=np.ones(cycles + 2, np.int64),
-        ),
+    return make_run(
+        gait,
+        0.0,
+        (frames, rear, front),
+        (commands, sampled(command, commands)),
+        (readings, watts),
+        cycles=cycles,
+        end=cycles * gait.period,
     )

@@ -2,11 +2,15 @@
 """Files of a lab for tests: bench tests of a bellows and a fin, and a folder of raw logs of a run."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from recorded_run import GAIT, REST_S, simulated_run
+from recorded_run import GAIT, simulated_run
+from virtual_campaign import bench_tests
 
+from worm_model.gait import Gait
+from worm_model.identification.inputs import BenchTest
 from worm_model.parameters import PAPER
 from worm_model.run import Run
 
@@ -15,39 +19,35 @@ _TICKS = 4096  # per turn
 _ONSET_S = 2.0  # of a lab's runs
 
 
-def write_bench_tests(folder: Path) -> tuple[Path, Path]:
-    """Write bellows.csv and fin.csv of the paper's robot, with noise of 20 mN."""
-    compression = np.linspace(0.0, 0.06, 13)
-    stretch = np.linspace(-0.008, 0.008, 65)
-    force = PAPER.engaged_stiffness * np.minimum(stretch + 0.5 * PAPER.clearance, 0.0)
-    force += PAPER.disengaged_stiffness * np.maximum(stretch - 0.5 * PAPER.clearance, 0.0)
-    noise = np.random.default_rng(1)
-    bellows, fin = folder / "bellows.csv", folder / "fin.csv"
-    for path, head, x, y in (
-        (bellows, "compression_m,force_N", compression, PAPER.bellows_stiffness * compression),
-        (fin, "displacement_m,force_N", stretch, force),
-    ):
-        write_table(path, head, x, y + noise.normal(0.0, 0.02, y.size))
-    return bellows, fin
+def write_bench_tests(folder: Path, tests: Sequence[BenchTest] = ()) -> None:
+    """Write bellows.csv and fin.csv, of the paper's robot if no tests are given."""
+    bellows, fin = tests or bench_tests(PAPER, np.random.default_rng(1))
+    write_table(folder / "bellows.csv", "compression_m,force_N", bellows.x, bellows.y)
+    write_table(folder / "fin.csv", "displacement_m,force_N", fin.x, fin.y)
 
 
 def write_lab(folder: Path, name: str = "run_01", cycles: int = 5) -> Path:
     """Add a run to a lab's folder: camera, power sensor and servo of `recorded_run`, and the bench tests."""
-    gaits = folder / "runs.json"
-    listed = json.loads(gaits.read_text()) if gaits.exists() else {}
-    write_logs(folder / name, simulated_run(cycles, seed=len(listed)), _ONSET_S - REST_S)
-    gait = {"stroke_m": GAIT.stroke, "frequency_Hz": GAIT.frequency}
-    gaits.write_text(json.dumps({**listed, name: gait}))
+    add_run(folder, name, GAIT, simulated_run(cycles, seed=len(list(folder.glob("run*/")))))
     write_bench_tests(folder)
     return folder
 
 
-def write_logs(folder: Path, run: Run, start_s: float = 0.0) -> None:
-    """Write camera.csv, power.csv and servo.csv of a run, whose clock begins at a time in s."""
+def add_run(folder: Path, name: str, gait: Gait, run: Run) -> None:
+    """Add camera.csv, power.csv and servo.csv of a run to a lab's folder, and its gait to runs.json."""
+    gaits = folder / "runs.json"
+    listed = json.loads(gaits.read_text()) if gaits.exists() else {}
+    write_logs(folder / name, run)
+    listed[name] = {"stroke_m": gait.stroke, "frequency_Hz": gait.frequency}
+    gaits.write_text(json.dumps(listed))
+
+
+def write_logs(folder: Path, run: Run) -> None:
+    """Write the logs of a run, whose gait begins at `_ONSET_S` of the lab's clock."""
     folder.mkdir(parents=True)
 
     def time(stamp: np.ndarray) -> np.ndarray:
-        return (stamp - run.origin) * 1e-9 + start_s
+        return (stamp - run.gait_state.onset.max()) * 1e-9 + _ONSET_S
 
     tracker, power, command = run.tracker, run.power, run.commanded
     seen = np.isfinite(tracker.rear_position)

@@ -115,6 +115,24 @@ def axes_of(settings: CameraSettings) -> Array:
     return np.array([right, np.cross(forward, right), forward])
 
 
+def pixels_of(settings: CameraSettings, points: Array) -> Array:
+    """Return the pixels, shape (n, 2), of points in the pipe's frame, shape (n, 3), m."""
+    s = settings
+    seen = (points - np.array(s.position)) @ axes_of(s).T
+    x, y = (seen[:, :2] / seen[:, 2:]).T
+    k1, k2, p1, p2, k3 = s.distortion
+    r2 = x * x + y * y
+    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    bent = np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+    return bent * s.focal + np.array(s.centre)
+
+
 class Pattern:
     """Print of rectangular cells, whose reflectances are given row by row from the top.
 
@@ -197,15 +215,9 @@ class RenderedCamera:
 
     def _window(self, centre: tuple[float, float, float], half: Sequence[float] | Array) -> Window:
         """Return the pixels that can contain a rectangle with a centre (x, y, z) and half sizes along x and z, m."""
-        s, axes, (x, y, z) = self.settings, axes_of(self.settings), centre
-        corners = np.array(
-            [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
-        )
-        projected = (corners - np.array(s.position)) @ axes.T
-        flat = projected[:, :2] / np.maximum(projected[:, 2:], 1e-3)
-        r2 = (flat**2).sum(axis=1, keepdims=True)
-        k1, k2, *_, k3 = s.distortion
-        pixels = flat * (1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3) * s.focal + np.array(s.centre)
+        s, (x, y, z) = self.settings, centre
+        corners = [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
+        pixels = pixels_of(s, np.array(corners))
         low = np.floor(pixels.min(axis=0)).astype(int) - 6
         high = np.ceil(pixels.max(axis=0)).astype(int) + 7
         columns, rows = (

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -110,44 +110,21 @@ def follow(
     outputs = [twin.advance(state, rows[k : k + chunk]) for k in range(0, len(rows), chunk)]
     if end:
         outputs.append(twin.advance(state, rows[:0], to_the_end=True))
-    residuals = [
-        (row, residual_message(row, output.warnings))
-        for output in outputs
-        for row in output.residuals
-    ]
     return TwinOutput(
-        states=[_Record(row) for output in outputs for row in output.states],
-        residuals=[_Record(row, message) for row, message in residuals],
-        lengths=[_Record(row) for output in outputs for row in output.lengths],
+        states=[_record(row) for output in outputs for row in output.states],
+        residuals=[
+            _record(row, residual_message(row, output.warnings))
+            for output in outputs
+            for row in output.residuals
+        ],
+        lengths=[_record(row) for output in outputs for row in output.lengths],
         notices=[event for output in outputs for event in output.events],
     )
 
 
-class _Record:
-    """Row with attributes; equal if every number is bitwise equal."""
-
-    def __init__(self, row: np.void, message: str = "") -> None:
-        self._row, self.message = row.item(), message
-        self._names = row.dtype.names
-
-    def __getattr__(self, name: str) -> float:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return self._row[self._names.index(name)]
-
-    def __repr__(self) -> str:
-        return f"{self._row} {self.message}"
-
-    def __eq__(self, other: object) -> bool:
-        return repr(self) == repr(other)
-
-    def __hash__(self) -> int:
-        return hash(repr(self))
-
-
-def finite(values: Sequence[float]) -> list[float]:
-    """Return the values that are finite."""
-    return [value for value in values if math.isfinite(value)]
+def _record(row: np.void, message: str = "") -> SimpleNamespace:
+    """Return a row with attributes; in its text NaN equals itself."""
+    return SimpleNamespace(message=message, **dict(zip(row.dtype.names, row.item(), strict=True)))
 
 
 def run_of_rows(rows: np.ndarray, memories: Sequence[tuple[int, str]] = ()) -> Run:

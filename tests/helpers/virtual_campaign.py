@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from recorded_run import power_samples
+from recorded_run import EPOCH, make_run
 
 from worm_driver.virtual_robot.offline_run import Rehearsal, run_offline
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
@@ -20,8 +20,7 @@ from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.inputs import BenchTest, Inputs
 from worm_model.identification.reference_values import READING, ReferenceValues
 from worm_model.parameters import PAPER, Parameters
-from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
-from worm_model.simulation.simulator import simulate
+from worm_model.run import Run
 
 # Gaits and durations (s) that pass five ridges, as in a usual campaign
 CAMPAIGN = (
@@ -39,8 +38,6 @@ SPREAD = 0.05  # relative, of the true parameters about the virtual robot's
 FORCE_NOISE = 0.12, 0.35  # N, of the fin and of the bellows test
 # s before a gait; the cable is tensioned in their first half
 REST, REST_UNDER_PRETENSION = 2.0, 3.0
-EPOCH = 10**18  # ns
-RESTING, RUNNING = 2, 3
 TICK = 2.0 * np.pi / 4096  # rad
 
 
@@ -107,88 +104,11 @@ def run_of(rehearsal: Rehearsal, gait: Gait, settings: RobotSettings, epoch: int
     """Return a rehearsal as a bag would contain it, which begins at a time in ns."""
     servo = settings.cable_servos[0]
     metres = -servo.sign * servo.spool_radius * TICK
-    power = rehearsal.bus_voltage * rehearsal.current
     return make_run(
         gait,
         rehearsal.onset,
         (rehearsal.tracker_time, rehearsal.rear_position, rehearsal.front_position),
         (rehearsal.servo_time, rehearsal.goal_ticks * metres),
-        (rehearsal.power_time, power),
-        epoch,
-    )
-
-
-def make_run(
-    gait: Gait,
-    onset: float,
-    camera: tuple[np.ndarray, np.ndarray, np.ndarray],
-    command: tuple[np.ndarray, np.ndarray],
-    power: tuple[np.ndarray, np.ndarray],
-    epoch: int = EPOCH,
-) -> Run:
-    """Return a run of (time s, x1 m, x2 m), (time s, u_cmd m) and (time s, power W), onset in s."""
-
-    def stamp(time: np.ndarray) -> np.ndarray:
-        return epoch + np.rint(np.asarray(time) * 1e9).astype(np.int64)
-
-    length = np.asarray(camera[2]) - np.asarray(camera[1])
-    initial = float(np.nanmedian(length[camera[0] < onset])) if np.any(camera[0] < onset) else 0.3
-    states = np.array([RESTING, RUNNING])
-    onset_stamp = int(stamp(np.array(onset)))
-    return Run(
-        origin=epoch,
-        commanded=LengthSamples(stamp(command[0]), initial + command[1], np.asarray(command[1])),
-        tracker=TrackerSamples(stamp(camera[0]), np.asarray(camera[1]), np.asarray(camera[2])),
-        power=power_samples(stamp(power[0]), np.asarray(power[1])),
-        gait_state=GaitStates.of(
-            gait,
-            stamp(np.array([0.0, onset])),
-            state=states,
-            onset=np.array([0, onset_stamp]),
-            cycle=np.array([0, 1]),
-            cycles=np.full(2, 5),
-        ),
-    )
-
-
-@dataclass(frozen=True)
-class Instruments:
-    """Noise of camera (m) and power sensor (W), delay of the camera's clock (s), rate of the power (Hz), rest (s)."""
-
-    camera_noise: float = 0.0002
-    power_noise: float = 0.02
-    camera_behind: float = 0.0
-    power_rate: float = 50.0
-    rest: float = 2.0
-
-
-def exact_run(
-    gait: Gait,
-    parameters: Parameters = PAPER,
-    instruments: Instruments = Instruments(),
-    seed: int = 0,
-    duration: float = 12.0,
-) -> Run:
-    """Return a run of a robot that follows the model exactly."""
-    random = np.random.default_rng(seed)
-    rest = instruments.rest
-    cycles = int(np.ceil((duration + 1.0) * gait.frequency))
-    trajectory = simulate(gait, parameters, cycles)
-    camera = np.arange(0.0, rest + duration, 1.0 / 30.0)
-    moving = np.maximum(camera + instruments.camera_behind - rest, 0.0)
-    motion = trajectory.at(moving)
-    noise = random.normal(0.0, instruments.camera_noise, (2, camera.size))
-    command = np.arange(0.0, rest + duration, 0.02)
-    u_cmd = np.array([gait.command(max(time - rest, 0.0)) for time in command])
-    power = np.arange(0.0, rest + duration, 1.0 / instruments.power_rate)
-    at = power - rest
-    watts = np.where(
-        at > 0.0, trajectory.at(np.maximum(at, 0.0)).power, parameters.idle_power
-    ) + random.normal(0.0, instruments.power_noise, power.size)
-    return make_run(
-        gait,
-        rest,
-        (camera, motion.x1 + noise[0], motion.x2 + noise[1]),
-        (command, u_cmd),
-        (power, watts),
+        (rehearsal.power_time, rehearsal.bus_voltage * rehearsal.current),
+        epoch=epoch,
     )

@@ -61,22 +61,13 @@ def virtual_settings(seed: int = 1, **changes: object) -> RobotSettings:
     return replace(installed_robot(), seed=seed, **changes)
 
 
-class _Rig(Rig):
-    """Rig that counts the valid power samples of a long session instead of storing them."""
-
-    valid = 0
-
-    def _valid_samples(self) -> int:
-        return self.valid + super()._valid_samples()
-
-
 class Session:
     """One graph: a driver, and a virtual robot that continues from gait to gait."""
 
     def __init__(
         self, virtual: RobotSettings | None = None, driver: DriverSettings | None = None
     ) -> None:
-        self.rig: Rig = _Rig(driver, VirtualRobot(virtual or virtual_settings()))
+        self.rig = Rig(driver, VirtualRobot(virtual or virtual_settings()))
         self.camera = True
         self.played: list[Played] = []
         self._rows: list[tuple[float, ...]] = []
@@ -105,12 +96,11 @@ class Session:
         cycles: int = 3,
         *,
         stop_after: float = math.inf,
-        cancel_after: float = math.inf,
         before: float = 2.0,
         after: float = 2.0,
         disturb: Callable[[VirtualRobot, float], None] = lambda _robot, _time: None,
     ) -> Played:
-        """Play a gait, stopped (held at once) or cancelled (at the next rest) after a time in s from its onset.
+        """Play a gait, stopped (held at once) after a time in s from its onset.
 
         ``before`` and ``after`` are the times in s by which a recording begins earlier and ends later. ``disturb`` is
         called with the time since the onset.
@@ -129,8 +119,6 @@ class Session:
             if run is not None and clock.now >= onset + stop_after:
                 robot.stop(clock.now, "the service stop was called")
                 return True
-            if run is not None and clock.now >= onset + cancel_after:
-                robot.cancel(clock.now)
             return run is None
 
         self._follow(LONGEST_S, over)
@@ -165,7 +153,6 @@ class Session:
         for sample in rig.samples:
             if sample.status is SampleStatus.VALID:
                 self._add(SampleKind.POWER, sample.time, sample.power)
-        rig.valid = rig._valid_samples()
         rig.samples.clear()
         for sample in rig.virtual.take_samples():
             if self.camera:

@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two hosts on a cable, as network namespaces:
-
-which processes of a robot on the first host the second one discovers.
-"""
+"""Two hosts on a cable, as network namespaces: what a robot's processes are bound to, and drivers on both hosts."""
 
 import os
 import re
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,24 +12,6 @@ from harness import TIMEOUT_S
 
 from worm_optimizer.operation.processes import Process, executable_command
 from worm_optimizer.operation.system import installed_system_file
-
-#: processes that the neighbour looks for, and s within which it finds them on an open network
-LOOKING_S = 12.0
-
-NEIGHBOUR = """
-import sys, time, rclpy
-from rclpy.executors import SingleThreadedExecutor
-rclpy.init()
-node = rclpy.create_node("neighbour")
-executor = SingleThreadedExecutor()
-executor.add_node(node)
-end = time.monotonic() + float(sys.argv[1])
-found = set()
-while time.monotonic() < end and not found:
-    executor.spin_once(timeout_sec=0.1)
-    found = {name for name in node.get_node_names() if name != "neighbour"}
-print("found:", *sorted(found))
-"""
 
 
 def _ip(*arguments: str) -> None:
@@ -93,40 +71,9 @@ def hosts() -> Iterator[tuple[Host, Host]]:
             _ip("netns", "delete", host.name)
 
 
-def look(host: Host, peer: Host, seconds: float) -> str:
-    """Return the nodes that a neighbour discovers with the robot's computer as a peer and the widest range of ROS."""
-    widened = {
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-        "ROS_STATIC_PEERS": f"{peer.address};{host.address}",
-    }
-    closed = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "WORM_NETWORK")
-    environment = {k: v for k, v in os.environ.items() if k not in closed} | widened
-    given = subprocess.run(
-        host.command(sys.executable, "-c", NEIGHBOUR, str(seconds)),
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=seconds + TIMEOUT_S,
-    )
-    assert given.returncode == 0, given.stderr
-    return given.stdout
-
-
 def start_driver(processes, host: Host, *environment: str, name: str = "driver") -> Process:
     command = executable_command("worm_driver", "driver_node")
     return processes.start(name, host.command("env", *environment, *command))
-
-
-@pytest.mark.night
-@pytest.mark.parametrize("opens", [False, True])
-def test_a_neighbour_with_static_peers_finds_only_a_driver_that_may_use_the_network(
-    processes, probe, hosts, opens: bool
-):
-    robot, neighbour = hosts
-    driver = start_driver(processes, robot, f"WORM_NETWORK={'1' if opens else ''}")
-    probe.wait_for(lambda: robot.udp_ports(driver), "driver with its ports")
-    found = look(neighbour, robot, LOOKING_S)
-    assert "driver" in found if opens else found == "found:\n"
 
 
 def test_a_second_driver_on_the_network_ends_before_it_serves_anything(processes, hosts):

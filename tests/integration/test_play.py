@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag played onto topics, and a live twin that subscribes to them."""
+"""A bag played onto topics; the tests of the twin node play one to a live twin."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -16,9 +16,7 @@ from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.nodes.play_node import _is_of_twin
-from worm_model.parameters import PAPER
-from worm_model.twin.offline_replay import replay_run
-from worm_msgs.msg import GaitState, Power, Tracker, TwinState
+from worm_msgs.msg import GaitState, Power, Tracker
 
 TIMEOUT_S = 40.0
 RUN = simulated_run()
@@ -142,27 +140,3 @@ def test_topics_of_the_twin_are_left_out_for_the_twin():
     own = "/worm/twin/state", "/a/b/body_length/estimated", "/worm/tf", "/diagnostics"
     others = "/worm/body_length/measured", "/worm/tracker", "/worm/tf_static"
     assert [_is_of_twin(name) for name in (*own, *others)] == [True] * 4 + [False] * 3
-
-
-def test_the_live_twin_yields_what_the_offline_replay_yields(
-    processes: Processes, probe: Probe, bag: Path
-):
-    states = probe.collect(TwinState, "twin/state", 10_000)
-    player = processes.start_node("worm_model", "play", str(bag), "--rate", "2", "--twin")
-    twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
-    probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
-    offline = replay_run(RUN, PAPER).states
-    last = int(offline["stamp_ns"][-1])
-    behind = 500_000_000  # ns, the largest delay of a live twin; the bag's time ends with the bag
-    probe.wait_for(lambda: states and stamp(states[-1]) >= last - behind, "the last states")
-    twin.interrupt()
-    assert twin.wait(TIMEOUT_S) == 0
-    live = {
-        name: np.array([getattr(m, name) for m in states]) for name in offline if name != "stamp_ns"
-    }
-    came = len(states)
-    assert [stamp(m) for m in states] == offline["stamp_ns"][:came].tolist()
-    for name, values in live.items():
-        np.testing.assert_allclose(
-            values, offline[name][:came], rtol=1e-9, atol=1e-12, err_msg=name
-        )

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot as a process: its ports, its topics, its faults, its end."""
+"""The virtual robot as a process: its topics, its end, and a driver that hangs."""
 
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,12 +9,7 @@ from commander import parameters
 from harness import TIMEOUT_S, ros_arguments
 from lifecycle_msgs.msg import State, Transition
 
-from worm_driver.power.socket_smbus import SocketSMBus
-from worm_driver.servos.registers import COMMON
-from worm_driver.servos.servo_bus import ServoBus
-from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE
 from worm_msgs.msg import BodyLength, Tracker
-from worm_msgs.srv import InjectFault
 
 
 @pytest.fixture
@@ -47,34 +41,6 @@ def test_what_it_publishes_stands_in_the_past_and_in_order(robot, probe):
     assert all(m.length_change == pytest.approx(0.0, abs=0.002) for m in lengths)
 
 
-def test_faults_on_request(robot, probe, directory):
-    def inject(**fields):
-        request = InjectFault.Request(**fields)
-        return probe.call(InjectFault, "inject_fault", request)
-
-    rejected = inject(name="fire")
-    assert not rejected.success
-    assert "choose one of" in rejected.message
-
-    with closing(SocketSMBus(str(directory / "i2c.sock"))) as bus:
-        assert bus.read_word_data(0x40, 0) == 0x9F39
-        assert inject(name="i2c_nack", duration=3600.0).success
-
-        def nacked():
-            try:
-                bus.read_word_data(0x40, 0)
-            except OSError as error:
-                return error.errno == 121
-            return False
-
-        probe.wait_for(nacked, "NACK")
-        assert inject(name="clear").success
-        probe.wait_for(lambda: not nacked(), "end of the NACKs")
-
-    assert inject(name="unplugged", duration=3600.0).success
-    probe.wait_for(lambda: not (directory / "servo_bus").is_symlink(), "unplugged port")
-
-
 def test_a_directory_in_use_is_rejected_and_ctrl_c_leaves_nothing_behind(
     robot, processes, directory
 ):
@@ -87,37 +53,6 @@ def test_a_directory_in_use_is_rejected_and_ctrl_c_leaves_nothing_behind(
     robot.interrupt()
     assert robot.wait(TIMEOUT_S) == 0
     assert list(directory.iterdir()) == []
-
-
-def test_cables_of_different_lengths_are_named_and_not_activated(
-    processes, commander, probe, tmp_path
-):
-    """Another program has turned one spool of two since they were homed."""
-    text = DEFAULT_FILE.read_text()
-    one = "{id: 1, model: XM430-W350, sign: 1, spool_radius_m: 0.025, start_angle_rad: 5.0}"
-    two = one.replace("id: 1", "id: 2")
-    settings = tmp_path / "two_spools.yaml"
-    settings.write_text(text.replace(f"  - {one}", f"  - {one}\n  - {two}"))
-    robot = processes.start_node(
-        "worm_driver", "virtual_robot", "--directory", str(tmp_path), "--parameters", str(settings)
-    )
-    robot.wait_for_line("^ready: ", TIMEOUT_S)
-    spools = {"ids": "[1, 2]", "signs": "[1, 1]", "spool_radius_m": "[0.025, 0.025]"}
-    given = parameters(tmp_path, **{f"cable_servos.{key}": value for key, value in spools.items()})
-    driver = processes.start_node("worm_driver", "driver_node", **given)
-    assert commander.change(Transition.TRANSITION_CONFIGURE)
-    assert commander.change(Transition.TRANSITION_CLEANUP)
-    bus = ServoBus.open(str(tmp_path / "servo_bus"), 1_000_000, latency=0.1)
-    bus.write(2, COMMON["torque_enable"], 1)
-    bus.write(2, COMMON["goal_position"], 208)  # 8 mm
-    probe.wait_for(lambda: bus.read(2, COMMON["present_position"]) > 200, "turn of the spool")
-    bus.write(2, COMMON["torque_enable"], 0)
-    bus.close()
-    assert commander.change(Transition.TRANSITION_CONFIGURE)
-    assert not commander.change(Transition.TRANSITION_ACTIVATE)
-    driver.wait_for_line(
-        r"cannot activate: .*servo 1 is at -?0\.\d mm and servo 2 at -[78]\.\d mm", 5
-    )
 
 
 _SLOW = """

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from camera_rig import SETTINGS, PaperCamera, model_of
+from camera_rig import SETTINGS, model_of
+from rendered_images import pixels_of
 
 from worm_driver.driver_errors import SetupError
 from worm_driver.tracking import vision
@@ -52,7 +53,7 @@ def test_projection_agrees_with_an_independent_camera():
     points = np.random.default_rng(1).uniform(-0.4, 0.4, (50, 3))
     optical = np.column_stack([points[:, 0], -points[:, 2], points[:, 1] + 1.0])
     pixels = vision.project(BROWN, optical, np.eye(3), np.zeros(3))
-    assert pixels == pytest.approx(PaperCamera(STRAIGHT).pixels(points), abs=1e-6)
+    assert pixels == pytest.approx(pixels_of(STRAIGHT, points), abs=1e-6)
 
 
 def test_where_the_lens_model_folds_over_there_is_no_direction():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from recorded_run import GAIT, simulated_run
 
-from worm_model.analysis.plot_style import DPI, MEASURED, save_figure
+from worm_model.analysis.plot_style import MEASURED, save_figure
 from worm_model.analysis.run_curves import (
     energy_curves,
     length_curves,
@@ -67,7 +67,6 @@ def test_files_are_the_same_each_time(tmp_path: Path):
             save_figure(energy_figure(Frame(0.0, 2.0), [curve], [curve], [curve]), path)
             contents.append(path.read_bytes())
         assert contents[0] == contents[1]
-    assert DPI >= 150
 
 
 def test_an_overview_needs_a_gait_and_has_position_residual_length_and_power(followed):

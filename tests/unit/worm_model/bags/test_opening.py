@@ -10,49 +10,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from mcap.writer import CompressionType, IndexType, Writer
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from mcap.writer import CompressionType, IndexType
+from mcap_files import DEFINITION, TYPE, mcap_bytes, payload
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_typestore
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import qos_profiles
+from worm_model.bags.formats.bag_metadata import FOREVER, qos_profile, qos_profiles
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
+from worm_model.bags.formats.finding import bags_below
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.run_reader import read_run
 
-TYPE = "std_msgs/msg/UInt64"
 COUNT = 500
-TOPICS = [Topic(name, TYPE, 0, "uint64 data\n", "ros2msg", "cdr") for name in ("/a", "/b")]
-
-
-def payload(value: int) -> bytes:
-    return b"\x00\x01\x00\x00" + struct.pack("<Q", value)
-
-
-FOREVER = QosTime(9223372036, 854775807)
-LATCHED = Qos(
-    QosHistory.KEEP_LAST,
-    1,
-    QosReliability.RELIABLE,
-    QosDurability.TRANSIENT_LOCAL,
-    FOREVER,
-    FOREVER,
-    QosLiveliness.AUTOMATIC,
-    FOREVER,
-    avoid_ros_namespace_conventions=False,
-)
+TOPICS = [Topic(name, TYPE, 0, DEFINITION, "ros2msg", "cdr") for name in ("/a", "/b")]
+LATCHED = qos_profile("keep_last", 1, "reliable", "transient_local", "automatic", FOREVER)
 
 
 def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int = 9) -> Path:
@@ -61,7 +38,9 @@ def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version
     with writer:
         store = get_typestore(Stores.ROS2_JAZZY)
         connections = [
-            writer.add_connection(t, TYPE, typestore=store, offered_qos_profiles=[LATCHED])
+            writer.add_connection(
+                t, TYPE, typestore=store, offered_qos_profiles=parse_qos([LATCHED])
+            )
             for t in ("/a", "/b")
         ]
         for i in range(COUNT):
@@ -69,33 +48,19 @@ def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version
     return path
 
 
-def by_mcap(
-    path: Path,
-    *,
-    chunked: bool = True,
-    indexed: bool = True,
-    compression=CompressionType.ZSTD,
-    **options,
-) -> Path:
+UNINDEXED = {
+    "index_types": IndexType.NONE,
+    "use_summary_offsets": False,
+    "use_statistics": False,
+    "repeat_channels": False,
+}
+
+
+def by_mcap(path: Path, **options) -> Path:
     """Write channels /a and /b; messages in pairs that are out of order within a chunk and across chunks."""
-    indexes = {} if indexed else {"index_types": IndexType.NONE, "use_summary_offsets": False}
-    indexes |= {} if indexed else {"use_statistics": False, "repeat_channels": False}
-    with path.open("xb") as stream:
-        writer = Writer(
-            stream,
-            chunk_size=2000,
-            compression=compression,
-            use_chunking=chunked,
-            **indexes,
-            **options,
-        )
-        writer.start()
-        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
-        channels = [writer.register_channel(t, "cdr", schema) for t in ("/a", "/b")]
-        for i in range(0, COUNT, 2):
-            for k in (i + 1, i):
-                writer.add_message(channels[k % 2], k * 1000 + 1, payload(k), k * 1000)
-        writer.finish()
+    order = [k for i in range(0, COUNT, 2) for k in (i + 1, i)]
+    rows = [(("/a", "/b")[k % 2], k, k * 1000 + 1, k * 1000) for k in order]
+    path.write_bytes(mcap_bytes(("/a", "/b"), rows, chunk_size=2000, **options))
     return path
 
 
@@ -119,9 +84,11 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "mcap zstd": lambda d: by_mcap(d / "a.mcap"),
     "mcap lz4": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.LZ4),
     "mcap plain": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.NONE),
-    "mcap without chunks": lambda d: by_mcap(d / "a.mcap", chunked=False),
-    "mcap without index": lambda d: by_mcap(d / "a.mcap", indexed=False),
-    "mcap without chunks or index": lambda d: by_mcap(d / "a.mcap", chunked=False, indexed=False),
+    "mcap without chunks": lambda d: by_mcap(d / "a.mcap", use_chunking=False),
+    "mcap without index": lambda d: by_mcap(d / "a.mcap", **UNINDEXED),
+    "mcap without chunks or index": lambda d: by_mcap(
+        d / "a.mcap", use_chunking=False, **UNINDEXED
+    ),
     "mcap without schemas in the summary": lambda d: by_mcap(d / "a.mcap", repeat_schemas=False),
     "this writer": lambda d: by_worm_model(d / "bag"),
 }
@@ -145,10 +112,7 @@ def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str
         assert sum(len(block) for block in bag.blocks()) == COUNT
         assert sum(len(block) for block in bag.blocks(["/b"])) == COUNT // 2
         if "rosbags" in writer:
-            (profile,) = qos_profiles(bag.topics["/a"].offered_qos)
-            assert (profile["durability"], profile["depth"]) == ("transient_local", 1)
-            assert (profile["reliability"], profile["history"]) == ("reliable", "keep_last")
-            assert profile["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+            assert qos_profiles(bag.topics["/a"].offered_qos) == [LATCHED]
 
 
 def test_files_of_a_split_bag_are_one(tmp_path: Path):
@@ -167,21 +131,16 @@ def test_files_of_a_split_bag_are_one(tmp_path: Path):
 def test_equal_times_keep_the_order_of_the_file(tmp_path: Path, chunked: bool, indexed: bool):
     """Also if they are in several chunks, some of which begin before others end."""
     times = [(i // 50) * 50 - 60 * (i % 9 == 0) + 100 for i in range(COUNT)]
-    with (tmp_path / "a.mcap").open("xb") as stream:
-        kind = IndexType.ALL if indexed else IndexType.NONE
-        writer = Writer(stream, chunk_size=700, use_chunking=chunked, index_types=kind)
-        writer.start()
-        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
-        channels = [writer.register_channel(t, "cdr", schema) for t in ("/b", "/c", "/a")]
-        for i in range(COUNT):
-            writer.add_message(channels[i % 3], times[i], payload(i), i)
-        writer.finish()
+    topics = ("/b", "/c", "/a")
+    rows = [(topics[i % 3], i, times[i], i) for i in range(COUNT)]
+    options = {"chunk_size": 700, "use_chunking": chunked} | ({} if indexed else UNINDEXED)
+    (tmp_path / "a.mcap").write_bytes(mcap_bytes(topics, rows, **options))
     expected = sorted(range(COUNT), key=lambda i: times[i])
     with open_bag(tmp_path / "a.mcap") as bag:
         assert numbers(bag) == expected
         assert numbers(bag, ["/a", "/c"]) == [i for i in expected if i % 3]
         assert [m.publish_time for m in bag.messages()] == expected
-        assert [m.topic for m in bag.messages()] == [("/b", "/c", "/a")[i % 3] for i in expected]
+        assert [m.topic for m in bag.messages()] == [topics[i % 3] for i in expected]
         last = 0
         for block in bag.blocks():
             assert len(block) > 0
@@ -274,31 +233,19 @@ def test_what_is_there_of_a_bag_that_lacks_a_file_is_read(tmp_path: Path):
     check_one_line(error, "b.mcap does not exist")
 
 
-def test_a_topic_that_the_bag_lacks(tmp_path: Path):
-    with open_bag(by_worm_model(tmp_path / "bag")) as bag, pytest.raises(BagError) as error:
-        list(bag.messages(["/c"]))
-    check_one_line(error, "no topic /c", "/a, /b")
+POWER = topic_of("/worm/power", "worm_msgs/msg/Power")
 
 
-def test_the_writer_gives_the_same_bytes_and_overwrites_nothing(tmp_path: Path):
-    for folder in ("x", "y"):
-        (tmp_path / folder).mkdir()
-        by_worm_model(tmp_path / folder / "bag")
-    for name in ("metadata.yaml", "bag_0.mcap"):
-        one, other = ((tmp_path / folder / "bag" / name).read_bytes() for folder in ("x", "y"))
-        assert one == other
-    with pytest.raises(BagError, match="exists already"):
-        by_worm_model(tmp_path / "x" / "bag")
-
-
-@pytest.mark.parametrize(("type_hash", "rejected"), [("", False), ("RIHS01_" + 64 * "0", True)])
+@pytest.mark.parametrize(
+    ("type_hash", "rejected"),
+    [("", False), (POWER.type_hash, False), ("RIHS01_" + 64 * "0", True)],
+)
 def test_a_bag_without_definitions_is_read_by_the_installed_ones_if_they_fit(
     tmp_path: Path, type_hash: str, rejected: bool
 ):
     """Sqlite3 bags of ROS 2 Humble contain neither definitions nor type hashes."""
-    topic = topic_of("/worm/power", "worm_msgs/msg/Power")
-    (data,) = encode(topic, 1, {"power": 2.5}, {})
-    bare = replace(topic, definition="", metadata=(("topic_type_hash", type_hash),))
+    (data,) = encode(POWER, 1, {"power": 2.5}, {})
+    bare = replace(POWER, definition="", metadata=(("topic_type_hash", type_hash),))
     with new_bag(tmp_path / "bag") as writer:
         writer.write(bare, data, 1, 1)
     reported: list[str] = []
@@ -321,3 +268,19 @@ def test_of_two_definitions_the_one_that_fits_the_hash_is_read(tmp_path: Path):
         writer.write(replace(topic, definition=other + std_msgs), data, 1, 1)
     with open_bag(tmp_path / "bag") as bag:
         assert read_run(bag).power.power.tolist() == [2.5]
+
+
+def made(folder: Path, *names: str) -> None:
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+
+def test_a_folder_a_killed_recorders_folder_and_a_file_are_bags(tmp_path: Path):
+    made(tmp_path, "a/closed/metadata.yaml", "a/closed/x.mcap", "killed/killed_0.mcap")
+    made(tmp_path, "killed/killed_1.mcap", "loose/one.mcap", "loose/two.db3", "loose/notes.txt")
+    names = ["a/closed", "killed", "loose/one.mcap", "loose/two.db3"]
+    assert bags_below(tmp_path) == [tmp_path / name for name in names]
+    for bag in ("a/closed", "loose/one.mcap"):
+        assert bags_below(tmp_path / bag) == [tmp_path / bag]

@@ -5,28 +5,16 @@ import pytest
 import yaml
 from interfaces_page import rows_of
 
-from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.worm_topics import JOINT_STATE, TYPES, find_topic, offered_qos
 
 
-def topics(*names: str) -> list[Topic]:
-    return [topic_of(name, JOINT_STATE) for name in names]
-
-
 def test_the_twins_joints_are_not_mistaken_for_the_robots():
-    both = topics("/worm/twin/joint_states", "/worm/joint_states")
+    names = "/worm/twin/joint_states", "/worm/joint_states"
+    both = [topic_of(name, JOINT_STATE) for name in names]
     robot, twin = find_topic(both, "joint_states"), find_topic(both, "twin/joint_states")
     assert robot == both[1]
     assert twin == both[0]
-
-
-def test_two_robots_in_a_bag_are_distinguished_by_their_namespace():
-    both = topics("/left/joint_states", "/right/joint_states")
-    with pytest.raises(BagError, match=r"/left/joint_states, /right/joint_states; choose with"):
-        find_topic(both, "joint_states")
-    assert find_topic(both, "joint_states", "/right") == both[1]
 
 
 @pytest.mark.parametrize("name", TYPES)

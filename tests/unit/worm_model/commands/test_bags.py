@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,18 +20,9 @@ SAMPLES = Path(__file__).resolve().parents[4] / "bags"
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(run, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-    def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["bags", *map(str, arguments)])
-        try:
-            status = bags.main()
-        except SystemExit as left:
-            status = left.code
-        return status, *capsys.readouterr()
-
-    return call
+    return partial(run, bags)
 
 
 def test_the_table_lists_every_run_and_why_a_bag_has_none(run):

@@ -3,6 +3,7 @@
 
 import csv
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -12,24 +13,35 @@ from worm_model.gait import Gait, Profile
 from worm_model.loads import under
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
-from worm_msgs.conditions import Conditions
+from worm_msgs.conditions import LEVEL, Conditions
 
 KEYS = (
     "stroke frequency direction margin speed power cost_of_transport grooves_per_cycle groove_phase"
 ).split()
 
 
-def test_json_is_one_object_with_the_contracts_keys(run) -> None:
-    status, out, err = run(
-        command, "--stroke", "0.07", "--frequency", "0.2", "--margin", "0.0034", "--json"
-    )
-    gait = json.loads(out)
+WAVEFORM = "--pretension 0.0115 --contraction-share 0.6 --profile trapezoid --ramp-share 0.1"
+SHAPED = Gait(0.06, 0.2, 1, 0.0, 0.0115, 0.6, Profile.TRAPEZOID, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "gait", "conditions"),
+    [
+        ("--margin 0.0034", Gait(0.07, 0.2, 1, 0.0034), LEVEL),
+        (f"--slope 10 --tether 0.5 {WAVEFORM}", SHAPED, Conditions(slope_deg=10.0, tether_n=0.5)),
+    ],
+)
+def test_json_is_one_object_with_the_contracts_keys(run, options, gait, conditions) -> None:
+    numbers = ("--stroke", gait.stroke, "--frequency", gait.frequency)
+    status, out, err = run(command, *numbers, *options.split(), "--json")
+    found = json.loads(out)
     assert (status, err) == (0, "")
-    assert set(KEYS) <= set(gait)
-    expected = evaluate_gait(Gait(0.07, 0.2, 1, 0.0034))
-    assert gait["speed"] == expected.speed
-    assert gait["power"] == expected.power
-    assert gait["groove_phase"] == pytest.approx(0.0011)
+    assert set(KEYS) <= set(found)
+    assert found["profile"] == gait.profile.name.lower()
+    assert found["conditions"] == asdict(conditions)
+    expected = evaluate_gait(gait, under(conditions, PAPER))
+    assert (found["speed"], found["power"]) == (expected.speed, expected.power)
+    assert found["groove_phase"] == pytest.approx(0.0011)
 
 
 def test_results_that_rounding_decides_are_named(run, tmp_path) -> None:
@@ -132,24 +144,3 @@ def test_bad_tables_name_the_place(run, tmp_path: Path, text: str, message: str)
     assert status == 2
     assert message in err
     assert not output.exists()
-
-
-WAVEFORM = "--pretension 0.0115 --contraction-share 0.6 --profile trapezoid --ramp-share 0.1"
-
-
-def test_conditions_and_waveform_are_options(run) -> None:
-    status, out, err = run(
-        command,
-        *"--stroke 0.06 --frequency 0.2 --slope 10 --tether 0.5 --json".split(),
-        *WAVEFORM.split(),
-    )
-    gait = json.loads(out)
-    assert (status, err) == (0, "")
-    assert gait["profile"] == "trapezoid"
-    assert gait["conditions"]["slope_deg"] == 10.0
-    expected = evaluate_gait(
-        Gait(0.06, 0.2, 1, 0.0, 0.0115, 0.6, Profile.TRAPEZOID, 0.1),
-        under(Conditions(slope_deg=10.0, tether_n=0.5), PAPER),
-    )
-    assert gait["power"] == expected.power
-    assert gait["speed"] == expected.speed

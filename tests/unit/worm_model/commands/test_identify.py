@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command identify: a lab's folder and bags, its outputs, and the inputs that it rejects."""
 
+import contextlib
+import io
 import json
 import shutil
 import sys
@@ -8,14 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_run import write_bag
-from virtual_campaign import Instruments, exact_run
+from recorded_run import Instruments, exact_run, write_bag
 
 from worm_model.commands import identify
-from worm_model.commands.import_lab import import_lab
 from worm_model.errors import IdentificationError
 from worm_model.gait import Gait
-from worm_model.identification.data.lab_logs import LabSettings
 from worm_model.identification.inputs import read_inputs, read_recordings
 from worm_model.identification.reference_values import reference_by_folder
 from worm_model.parameters import KEYS, PAPER, load_parameter_file
@@ -23,11 +22,6 @@ from worm_model.parameters import KEYS, PAPER, load_parameter_file
 ROOT = Path(__file__).resolve().parents[4]
 RUNS = ("run_05", "run_06", "run_07", "run_08")
 GAIT = Gait(0.08, 0.25)
-
-
-def run_identify(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["identify", *map(str, arguments)])
-    return identify.main()
 
 
 @pytest.fixture(scope="module")
@@ -40,17 +34,12 @@ def outcome(shared, tmp_path_factory):
         shutil.copy(shared / "campaign" / name, campaign)
     for name in RUNS:
         shutil.copytree(shared / "campaign" / name, campaign / name)
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        printed: list[str] = []
-        monkeypatch.setattr(sys.stdout, "write", printed.append)
-        status = run_identify(
-            monkeypatch,
-            campaign,
-            "--json",
-            *("--output", folder / "parameters.yaml"),
-            *("--report", folder / "report"),
-        )
-    return status, "".join(printed), folder
+    outputs = ["--output", f"{folder}/parameters.yaml", "--report", f"{folder}/report"]
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as monkeypatch, contextlib.redirect_stdout(printed):
+        monkeypatch.setattr(sys, "argv", ["identify", str(campaign), "--json", *outputs])
+        status = identify.main()
+    return status, printed.getvalue(), folder
 
 
 @pytest.mark.night
@@ -73,7 +62,7 @@ def test_the_campaign_gives_every_key_of_the_contract_and_is_predicted_to_the_ca
 
 
 @pytest.mark.night
-def test_the_parameter_file_and_the_report_contain_everything(outcome, monkeypatch, capsys):
+def test_the_parameter_file_and_the_report_contain_everything(outcome, run):
     found, folder = json.loads(outcome[1])["parameters"], outcome[2]
     file = load_parameter_file(folder / "parameters.yaml")
     values = {key: found[key]["value"] for key in KEYS}
@@ -92,32 +81,22 @@ def test_the_parameter_file_and_the_report_contain_everything(outcome, monkeypat
     assert all(f"figures/{name}" in text for name in pictures)
     assert all(symbol in text for symbol in ("p_sw", "α_P", "Recommended measurement", "D1", "D2"))
     for option, path in (("--output", "parameters.yaml"), ("--report", "report")):
-        assert run_identify(monkeypatch, folder / "campaign", option, folder / path) == 2
-        assert "exists already" in capsys.readouterr().err
+        status, _, error = run(identify, folder / "campaign", option, folder / path)
+        assert status == 2
+        assert "exists already" in error
 
 
-def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, capsys):
+def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, run):
     def fail(_):
         raise IdentificationError("no advice")
 
     monkeypatch.setattr("worm_model.identification.stages.identify", lambda *_: None)
     monkeypatch.setattr("worm_model.identification.report.advice.advise", fail)
     output = tmp_path / "robot.yaml"
-    run = shared / "campaign" / "run_07"
-    assert run_identify(monkeypatch, run, "--output", output) == 2
-    assert "no advice" in capsys.readouterr().err
+    status, _, error = run(identify, shared / "campaign" / "run_07", "--output", output)
+    assert status == 2
+    assert "no advice" in error
     assert not output.exists()
-
-
-def test_a_bag_gives_the_result_of_the_folder(shared, tmp_path):
-    folder = shared / "campaign" / "run_07"
-    import_lab(folder, tmp_path / "run_07", LabSettings(epoch=10**18))
-    bag, log = read_recordings([tmp_path / "run_07", folder])
-    assert bag.gait == log.gait
-    for name in ("camera_time", "x1", "x2", "command_time", "command", "power"):
-        assert getattr(bag, name) == pytest.approx(getattr(log, name), abs=1e-8, nan_ok=True)
-    assert bag.date.startswith("2001-09-09")
-    assert any(len(checksum) == 64 for checksum in bag.sources.values())
 
 
 def test_a_bench_test_that_cannot_be_read_and_two_runs_of_one_name_are_rejected(tmp_path):
@@ -174,8 +153,12 @@ def test_a_readme_may_give_bounds_and_leave_keys_out(tmp_path):
 def test_bags_of_the_driver_are_read_from_rest_to_the_end_of_the_gait(name, direction):
     path = ROOT / "bags" / name
     recording = read_recordings([path])[0]
+    assert recording.date.startswith("20")
+    assert [len(checksum) for checksum in recording.sources.values()] == [64]
     assert recording.gait.direction == direction
     assert recording.at_rest.sum() >= 10
-    cycles = recording.command_time[-1] * recording.gait.frequency
-    assert cycles == pytest.approx(round(cycles), abs=0.02)
+    for time in (recording.camera_time, recording.power_time, recording.command_time):
+        assert -1.02 <= time[0] <= 0.0  # the driver was idle before
+        cycles = time[-1] * recording.gait.frequency
+        assert cycles == pytest.approx(round(cycles), abs=0.02)
     assert np.nanmax(direction * recording.x1) > 0.03

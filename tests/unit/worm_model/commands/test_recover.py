@@ -3,7 +3,6 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -27,15 +26,11 @@ def cut(tmp_path: Path) -> Path:
     return bag
 
 
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["recover", *map(str, arguments)])
-    return recover.main()
-
-
-def test_it_reports_the_saved_messages(cut: Path, tmp_path: Path, monkeypatch, capsys):
+def test_it_reports_the_saved_messages(cut: Path, tmp_path: Path, run):
     before = (cut / "bag_0.mcap").read_bytes()
-    assert command(monkeypatch, cut, "--output", tmp_path / "saved", "--json") == 0
-    report = json.loads(capsys.readouterr().out)
+    status, out, _ = run(recover, cut, "--output", tmp_path / "saved", "--json")
+    assert status == 0
+    report = json.loads(out)
     with open_bag(tmp_path / "saved") as bag:
         assert bag.message_count == report["messages"]
         assert bag.metadata["worm_run"]["made_by"] == "tests/helpers/recorded_run.py"
@@ -45,9 +40,9 @@ def test_it_reports_the_saved_messages(cut: Path, tmp_path: Path, monkeypatch, c
     assert not (cut / "metadata.yaml").exists()
 
 
-def test_a_whole_file_without_metadata_loses_nothing(tmp_path: Path, monkeypatch):
+def test_a_whole_file_without_metadata_loses_nothing(tmp_path: Path, run):
     bag = write_bag(tmp_path / "bag", RUN)
-    assert command(monkeypatch, bag / "bag_0.mcap", "--output", tmp_path / "saved") == 0
+    assert run(recover, bag / "bag_0.mcap", "--output", tmp_path / "saved")[0] == 0
     with open_bag(bag) as one, open_bag(tmp_path / "saved") as other:
         assert list(one.messages()) == list(other.messages())
         assert {t.name: t.metadata for t in one.topics.values()} == {
@@ -55,17 +50,18 @@ def test_a_whole_file_without_metadata_loses_nothing(tmp_path: Path, monkeypatch
         }
 
 
-def test_the_second_recovery_overwrites_nothing(cut: Path, monkeypatch, capsys):
-    assert command(monkeypatch, cut) == 0
-    assert command(monkeypatch, cut) == 2
-    assert "exists already" in capsys.readouterr().err
+def test_the_second_recovery_overwrites_nothing(cut: Path, run):
+    assert run(recover, cut)[0] == 0
+    status, _, error = run(recover, cut)
+    assert status == 2
+    assert "exists already" in error
 
 
 @pytest.mark.parametrize("name", ["no", "empty"])
-def test_nothing_to_save_is_reported_in_one_line(tmp_path: Path, monkeypatch, capsys, name: str):
+def test_nothing_to_save_is_reported_in_one_line(tmp_path: Path, run, name: str):
     (tmp_path / "empty").mkdir()
-    assert command(monkeypatch, tmp_path / name) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    status, _, error = run(recover, tmp_path / name)
+    assert (status, error.count("\n")) == (2, 1)
 
 
 def test_every_gait_of_a_recording_is_kept_once(tmp_path: Path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from foreign_lab import write_foreign_lab
 from foreign_robot import Camera, ForeignRobot, crawl, some_robot
-from virtual_campaign import exact_run
+from recorded_run import exact_run
 
 from worm_model.analysis.run_metrics import measure_margin
 from worm_model.commands import identify

@@ -23,7 +23,7 @@ from worm_model.identification import drift
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.drift import State
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
-from worm_model.identification.fits.estimate import Estimate, not_identifiable
+from worm_model.identification.fits.estimate import Estimate
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.run import Run, TrackerSamples
 
@@ -56,6 +56,7 @@ def test_limits_are_those_of_a_chart_for_individuals():
 GAIN = {"gain": (0.85, 0.87)}
 RISING = [87.0, 90.0, 86.0, 87.0, 88.0, 89.0, 90.0, 91.0]
 SLACKS = [0.0078, 0.0079, 0.0078, 0.0077, 0.0078, 0.0079, 0.0078, 0.0110, 0.0078, 0.0079]
+SHRINKING = [0.865, 0.866, *(0.866 * 0.97**k for k in range(1, 7))]  # drags the mean along
 SLOW = 90.0 + 0.1 * np.arange(6.0)
 
 
@@ -66,6 +67,8 @@ SLOW = 90.0 + 0.1 * np.arange(6.0)
         ("gain", [0.868], 0.01, GAIN, State.WITHIN, None, 0, ""),
         ("gain", [0.83], 0.01, GAIN, State.OUT, 0, -1, "stretched"),
         ("gain", [np.nan] * 8, 0.01, GAIN, State.NOT_IDENTIFIABLE, None, 0, ""),
+        ("gain", SHRINKING, 1e-9, None, State.TRENDING, 1, -1, "stretched"),
+        ("idle_power", [1, 2, 3, np.nan, 4, 5, 6], 1e-9, None, State.TRENDING, 0, 1, "at rest"),
         ("slack", SLACKS, 1e-9, None, State.OUT, 7, 1, "re-tension"),
         ("viscous_friction", RISING, 1e-9, None, State.TRENDING, 2, 1, "clean the pipe"),
         ("viscous_friction", RISING[:-1], 1e-9, None, State.WITHIN, None, 0, ""),
@@ -76,7 +79,7 @@ SLOW = 90.0 + 0.1 * np.arange(6.0)
 def test_a_chart_names_state_begin_and_direction(
     key, values, half, intervals, state, began, direction, advice
 ):
-    """A trend takes six bags in one direction and more than the uncertainty of a bag."""
+    """A trend takes six bags in one direction and more than the uncertainty of a bag; NaN is skipped."""
     found = chart(key, values, half, intervals)
     assert (found.state, found.began, found.direction) == (state, began, direction)
     assert advice in found.advice
@@ -87,24 +90,6 @@ def test_the_limits_of_a_file_contain_its_uncertainty_and_that_of_a_bag():
     limits = chart("gain", [0.83], 0.01, GAIN).limits
     reach = limits.high - limits.centre
     assert reach == pytest.approx(3.0 * np.hypot(0.01, 0.01) / 1.959964, rel=1e-5)
-
-
-def test_a_drift_began_where_it_set_in_though_it_drags_the_mean_along():
-    values = [0.865, 0.866, *(0.866 * 0.97**k for k in range(1, 7))]
-    found = chart("gain", values)
-    assert {(s.rule, s.direction) for s in found.signals} >= {
-        (drift.Rule.LIMIT, 1),
-        (drift.Rule.LIMIT, -1),
-    }
-    assert (found.state, found.began, found.direction) == (State.TRENDING, 1, -1)
-
-
-def test_a_bag_without_an_estimate_is_skipped():
-    rows = [Estimate(v, v, v) for v in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)]
-    rows.insert(3, not_identifiable(99.0, "no power at rest"))
-    chart = drift.chart_of("idle_power", rows, ParameterFile())
-    assert np.isnan(chart.value[3])
-    assert {s.rule: (s.first, s.last) for s in chart.signals}[drift.Rule.MONOTONE] == (0, 6)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=5, max_size=30), st.floats(0.0, 10.0))
@@ -127,10 +112,9 @@ def test_steady_series_are_seldom_reported():
 
 # Estimates of seed 4 rise and fall by chance for six bags in a row, by less than the uncertainty of one bag.
 @pytest.mark.night
-@pytest.mark.parametrize("seed", [4])
-def test_a_steady_robot_is_not_reported(seed):
+def test_a_steady_robot_is_not_reported():
     bags = [
-        estimate_bag(recording_of(robot_run(seed, k), f"bag{k}"), PAPER).estimates for k in range(6)
+        estimate_bag(recording_of(robot_run(4, k), f"bag{k}"), PAPER).estimates for k in range(6)
     ]
     for key in drift.ADVICE:
         found = drift.chart_of(key, [bag[key] for bag in bags], ParameterFile())

@@ -3,13 +3,12 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
+from recorded_run import Instruments, exact_run, joined, later
 from scipy.stats import t as student
 from twin_samples import run_of_rows
-from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
 from virtual_session import Session
 
 from worm_model.errors import IdentificationError
@@ -58,28 +57,9 @@ def test_a_run_without_a_needed_topic_is_rejected_by_its_name(field, nothing, to
         recording_of(run(**{field: nothing}), "r")
 
 
-def twice(later: float, moved: float) -> Run:
+def twice(later_s: float, moved: float) -> Run:
     """Return a run followed by itself, later by a time in s and further by a distance in m."""
-    one, shift = run(), round(later * 1e9)
-
-    def repeated(samples: Any, **moves: float) -> Any:
-        both = {
-            name: np.concatenate(
-                [values, values + (shift if name == "stamp" else moves.get(name, 0))]
-            )
-            for name, values in vars(samples).items()
-        }
-        return type(samples)(**both)
-
-    states = repeated(one.gait_state)
-    states.onset[2:] += shift * (states.onset[2:] > 0)
-    return replace(
-        one,
-        gait_state=states,
-        commanded=repeated(one.commanded),
-        tracker=repeated(one.tracker, rear_position=moved, front_position=moved),
-        power=repeated(one.power),
-    )
+    return joined([exact(), later(exact(), round(later_s * 1e9), moved)])
 
 
 def test_a_later_gait_counts_if_it_begins_at_the_start_of_the_first_one():
@@ -94,38 +74,6 @@ def test_a_later_gait_counts_if_it_begins_at_the_start_of_the_first_one():
     assert not starts_apart([first, second])
     (message,) = starts_apart([first, replace(second, start=0.1)])
     assert all(fact in message for fact in ("r and r_gait_2", "100 mm"))
-
-
-def test_an_onset_that_is_published_again_with_each_cycle_is_one_run():
-    states = run().gait_state
-    reported = replace(
-        states,
-        **{
-            name: np.concatenate([getattr(states, name), getattr(states, name)[1:]])
-            for name in ("state", "stroke", "frequency", "direction", "margin", "cycle", "cycles")
-        },
-        stamp=np.concatenate([states.stamp, states.stamp[1:] + 4 * 10**9]),
-        onset=np.concatenate([states.onset, states.onset[1:] + 700]),
-    )
-    assert recording_of(run(gait_state=reported), "r").gait == GAIT
-
-
-def test_only_the_rest_before_the_gait_and_the_gait_count():
-    whole = run()
-    states = whole.gait_state
-    idle, times = 1, np.array([0.0, 1.0, 2.0, 6.0])
-    ended = GaitStates.of(
-        GAIT,
-        states.stamp[0] + (times * 1e9).astype(np.int64),
-        state=np.array([idle, RESTING, RUNNING, idle]),
-        onset=np.array([0, 0, states.onset[1], 0]),
-        cycle=np.array([0, 0, 1, 0]),
-        cycles=np.array([0, 1, 1, 0]),
-    )
-    found = recording_of(replace(whole, gait_state=ended), "r")
-    for time in (found.camera_time, found.power_time, found.command_time):
-        assert -1.01 <= time[0] <= 0.0
-        assert time[-1] == pytest.approx(4.0, abs=0.04)
 
 
 def test_commands_that_are_not_the_gait_are_rejected():
@@ -146,7 +94,7 @@ def test_times_count_from_the_onset_and_x1_from_rest():
     found = recording_of(run(tracker=moved), "r")
     assert found.x1 == pytest.approx(recording().x1)
     assert found.command_time[0] == found.command[0] == 0.0
-    assert found.camera_time[0] == pytest.approx(-2.0, abs=1e-3)
+    assert found.camera_time[0] == pytest.approx(-1.997, abs=1e-3)
     assert abs(np.mean(found.x1[found.at_rest])) < 1e-4
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from virtual_campaign import Instruments, exact_run
+from recorded_run import Instruments, exact_run
 
 from worm_model.gait import Gait
 from worm_model.identification import locomotion_stage

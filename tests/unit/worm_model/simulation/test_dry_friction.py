@@ -46,21 +46,6 @@ def test_less_and_less_dry_friction_is_none():
     assert abs(found[1] - exact) < 0.02 * abs(found[0] - exact)
 
 
-@pytest.mark.parametrize("pieces", [1, 7, 50])
-def test_a_length_may_be_cut_anywhere(pieces):
-    """At the start of each piece, the model decides again which module sticks. The result must not depend on it."""
-    parameters = with_dry(1.0, 0.4)
-    model = Locomotion(parameters)
-    time = np.linspace(0.0, 10.0, 401)[1:]
-    change = 0.5 * 0.05 * (np.cos(2 * np.pi * 0.2 * time) - 1.0)
-    whole, _ = model.follow(model.start(), time, change)
-    state = model.start()
-    for part in np.array_split(np.arange(time.size), pieces):
-        state, _ = model.follow(state, time[part], change[part])
-    assert state.y == pytest.approx(whole.y, abs=1e-12)
-    assert state.switches == whole.switches
-
-
 def test_a_body_that_rests_stays_until_its_fins_push_too_hard():
     """ΔL is constant: both modules stick together, and hold up to the sum of their frictions."""
     bent = 0.001  # deflection of both fins beyond their clearance, pushed forward: they slide

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from faulty_robots import EXACT, Fault, run_robots
+from faulty_robots import EXACT, Fault, followed, run_robots
 from foreign_robot import crawl, some_robot
 
 from worm_model.gait import Gait
@@ -16,7 +16,6 @@ from worm_model.twin.cycle_data import CycleData
 from worm_model.twin.data.records import Event, Health, Severity
 from worm_model.twin.edges import Edge, edge_of
 from worm_model.twin.offline_replay import replay_run
-from worm_model.twin.twin import Output, Twin
 
 EDGE = Gait(0.070637, 0.2)  # 1 groove according to the model
 FAR = Gait(0.08, 0.2)
@@ -24,11 +23,6 @@ FAR = Gait(0.08, 0.2)
 
 def at_phase(phase: float) -> Parameters:
     return PAPER.replace(initial_length=17 * PAPER.pitch + phase)
-
-
-def followed(rows: np.ndarray, parameters: Parameters = PAPER) -> Output:
-    twin = Twin(parameters)
-    return twin.advance(twin.start(), rows, to_the_end=True)
 
 
 def alarms(events: tuple[Event, ...]) -> list[tuple[str, int]]:

@@ -9,16 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples
-from recorded_run import simulated_run
+from recorded_run import SERIES, joined, simulated_run
 
 from worm_model.analysis.replay_metrics import ReplayReporter, report_replay
 from worm_model.parameters import PAPER
-from worm_model.run import LengthSamples, Run, concatenated
+from worm_model.run import LengthSamples, Run
 from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_model.twin.offline_replay import OfflineReplay, replay_run, unusable_runs
 from worm_model.twin.recorded_samples import RecordedSamples, rows_of_run
 
-SERIES = ("gait_state", "commanded", "measured", "tracker", "power")
 RUN = simulated_run(2)
 
 
@@ -88,9 +87,7 @@ def test_parts_give_the_samples_in_the_order_of_the_whole(delays, count, set_by,
         )
         for part in divided(RUN, count, delay.__getitem__)
     ]
-    whole = Run(
-        **{n: concatenated(type(getattr(RUN, n)), [getattr(p, n) for p in parts]) for n in SERIES}
-    )
+    whole = joined(parts)
     found = np.concatenate([np.zeros(0, SAMPLE), *rows_of_parts(parts)])
     assert found.tobytes() == rows_of_run(whole).tobytes()
     one, many = (RecordedSamples(lambda r=r: iter(r)) for r in ([whole], parts))

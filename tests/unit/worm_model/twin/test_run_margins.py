@@ -7,16 +7,17 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from foreign_robot import EPOCH, crawl, some_robot
+from virtual_session import live_twin
 
 from worm_model.analysis.run_metrics import measure_margin
 from worm_model.gait import Gait
 from worm_model.margin.half_cycles import Fin
 from worm_model.parameters import PAPER
 from worm_model.run import Run, TrackerSamples
-from worm_model.twin.data.samples import NO_SAMPLES, topic_rows
+from worm_model.twin.data.samples import topic_rows
 from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.recorded_samples import rows_of_run
 from worm_model.twin.run_margins import NO_MARGINS, STORED, RunPositions
-from worm_model.twin.twin import Twin
 
 GAIT, CYCLES = Gait(0.075, 0.2), 6
 
@@ -26,21 +27,9 @@ def recorded() -> Run:
     return crawl(some_robot(1), GAIT, CYCLES, seed=1).run
 
 
-def live_states(run: Run, samples: int) -> np.ndarray:
-    """Return the states of a twin that receives a few samples at a time."""
-    rows = np.concatenate(list(topic_rows(run).values()))
-    rows = rows[np.argsort(rows["stamp"], kind="stable")]
-    twin = Twin(PAPER)
-    state = twin.start()
-    parts = [
-        twin.advance(state, rows[k : k + samples]).states for k in range(0, len(rows), samples)
-    ]
-    parts.append(twin.advance(state, NO_SAMPLES, to_the_end=True).states)
-    return np.concatenate(parts)
-
-
 def test_the_margins_of_live_twin_and_replay_are_the_same():
-    live, replayed = live_states(recorded(), 20), replay_run(recorded(), PAPER).states
+    live = live_twin(rows_of_run(recorded()), many=20).states
+    replayed = replay_run(recorded(), PAPER).states
     for name in NO_MARGINS:
         assert np.array_equal(live[name], replayed[name], equal_nan=True)
 

@@ -169,20 +169,15 @@ def whole_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("after_onset_s", "first"), [(-1.0, 1), (5.0, 4)])
 def test_a_trimmed_recording_is_replayed_like_the_whole(
-    whole_bag: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    after_onset_s: float,
-    first: int,
+    whole_bag: Path, tmp_path: Path, run, after_onset_s: float, first: int
 ):
     """A part that begins in a gait agrees from its second whole cycle on; the fourth is disturbed."""
     whole = replay_of(whole_bag)
     played = three_gaits().played[-1]
     with open_bag(whole_bag) as bag:
         start = (played.onset_ns - bag.start) * 1e-9 + after_onset_s
-    options = ["--start", str(start), "--output", str(tmp_path / "part")]
-    monkeypatch.setattr("sys.argv", ["bags", "trim", str(whole_bag), *options])
-    assert bags.main() == 0
+    arguments = ("trim", whole_bag, "--start", start, "--output", tmp_path / "part")
+    assert run(bags, *arguments)[0] == 0
     (part,) = replay_of(tmp_path / "part")
     assert findings(part, first) == findings(whole[-1], first)
 

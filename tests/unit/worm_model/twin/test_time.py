@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from faulty_robots import ONSET, Fault, run_robots
 from twin_samples import run_of_rows
+from virtual_session import live_twin
 
 from worm_model.analysis.replay_metrics import report_replay
 from worm_model.gait import Gait
@@ -29,20 +30,15 @@ def healthy() -> np.ndarray:
 def jumped(rows: np.ndarray, time: float, by: float) -> np.ndarray:
     """Return the same with a clock that is set at a time (s)."""
     rows = rows.copy()
-    after = rows["stamp"] > ONSET + round(time * SECOND)
+    after = rows["stamp"] > ONSET + time * SECOND
     for name in ("stamp", "sent"):
         rows[name][after] += round(by * SECOND)
     rows["onset"][after & (rows["onset"] > 0)] += round(by * SECOND)
     return rows
 
 
-def live(rows: np.ndarray, many: int = 40) -> list[Event]:
-    twin = Twin()
-    state = twin.start()
-    events: list[Event] = []
-    for k in range(0, len(rows), many):
-        events += twin.advance(state, rows[k : k + many]).events
-    return [*events, *twin.advance(state, rows[:0], to_the_end=True).events]
+def live(rows: np.ndarray) -> tuple[Event, ...]:
+    return live_twin(rows, many=40).events
 
 
 def replayed(rows: np.ndarray) -> Replay:
@@ -60,6 +56,16 @@ def test_a_gait_in_which_the_clock_was_set_is_rejected_with_that_reason(time: fl
     assert reports
     assert all("the clock was set" in report.not_judged for report in reports)
     assert {report.health for report in reports} == {Health.UNKNOWN}
+
+
+@pytest.mark.parametrize("ahead", [0.0, 1000.0])
+def test_a_clock_that_jumps_after_a_run_restarts_the_twin(ahead: float):
+    once = live_twin(healthy(), many=40)
+    again = live_twin(np.concatenate([healthy(), jumped(healthy(), -np.inf, ahead)]), many=40)
+    assert [event.code for event in again.events if event.code] == ["clock_jump"]
+    assert sum("a run begins" in event.text for event in again.events) == 2
+    for name, tolerance in (("energy", {"rel": 1e-9}), ("rear_position", {"abs": 1e-9})):
+        assert again.states[name][-1] == pytest.approx(once.states[name][-1], **tolerance)
 
 
 @pytest.mark.parametrize("by", [-3.0, -1.2])

@@ -181,30 +181,6 @@ WILD = {
 }
 
 
-def later(samples: list, seconds: float) -> list:
-    """Return the same samples at another time."""
-    shift = round(seconds * 1e9)
-
-    def moved(sample):
-        sample = replace(sample, stamp_ns=sample.stamp_ns + shift)
-        if isinstance(sample, GaitSample) and sample.onset_ns:
-            sample = replace(sample, onset_ns=sample.onset_ns + shift)
-        return sample
-
-    return [moved(sample) for sample in samples]
-
-
-@pytest.mark.parametrize("ahead", [0.0, 1000.0])
-def test_a_clock_that_jumps_restarts_the_twin(ahead: float):
-    first = full_run()
-    output = follow(first + later(first, ahead))
-    assert [n.code for n in output.notices].count("clock_jump") == 1
-    assert texts(output).count("a run begins") == 2
-    once = follow(first)
-    assert output.states[-1].energy == pytest.approx(once.states[-1].energy, rel=1e-9)
-    assert output.states[-1].rear_position == pytest.approx(once.states[-1].rear_position, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     "ahead",
     [

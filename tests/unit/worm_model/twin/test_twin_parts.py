@@ -18,19 +18,21 @@ from worm_model.twin.twin_status import position_deviation, report
 
 GAIT = Gait(0.08, 0.2)
 ONSET = 10**18
+START = GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)
+
+
+def rest(length: float) -> list[TrackerSample]:
+    times = np.arange(40, 0, -1) / 30
+    return [TrackerSample(ONSET - round(t * 1e9), 0.5, 0.5 + length) for t in times]
 
 
 def test_a_twin_without_input_does_not_call_itself_well():
     twin = Twin()
-    rest = [
-        TrackerSample(ONSET - round(t * 1e9), 0.5, 0.5 + 0.2952) for t in np.arange(40, 0, -1) / 30
-    ]
-    start = GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)
     moves = [
         CommandedLength(ONSET + round(t * 1e9), GAIT.command(t)) for t in np.arange(1, 51) * 0.01
     ]
     seen = [TrackerSample(ONSET + round(t * 1e9), 0.5, 0.7952) for t in np.arange(1, 10) / 30]
-    samples = [*rest, start, *sorted(moves + seen, key=lambda s: s.stamp_ns)]
+    samples = [*rest(0.2952), START, *sorted(moves + seen, key=lambda s: s.stamp_ns)]
     state = twin.start()
     newest = twin.advance(state, rows_of(samples), to_the_end=True).residuals[-1]
     assert report(state, newest, 0.5).level is Severity.INFO
@@ -58,12 +60,8 @@ def test_fins_are_coloured_by_what_they_do():
 
 def test_the_tracker_gives_the_length_where_nothing_else_does():
     twin = Twin()
-    rest = [
-        TrackerSample(ONSET - round(t * 1e9), 0.5, 0.5 + 0.297) for t in np.arange(40, 0, -1) / 30
-    ]
-    start = GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)
     state = twin.start()
-    output = follow([*rest, start], twin, state=state)
+    output = follow([*rest(0.297), START], twin, state=state)
     assert state.initial_length == pytest.approx(0.297)
     assert output.states[-1].rear_position == pytest.approx(0.5)
     assert output.states[-1].groove_phase == pytest.approx(0.297 - 17 * PAPER.pitch)

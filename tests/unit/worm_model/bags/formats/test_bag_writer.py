@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 from worm_model.bags.formats.bag_errors import ExistsError, UnwritableError
 from worm_model.bags.formats.bag_metadata import FOREVER, dump_yaml, qos_profile
 from worm_model.bags.formats.bag_writer import new_bag, new_folder
-from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.formats.message_block import Message, Topic, concatenate, messages_of
 from worm_model.bags.formats.stored_file import LONGEST_GAP_NS, AttachedFile
 from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.copies import recover
@@ -42,6 +42,9 @@ def message(topic: Topic, log_time: int, data: bytes, publish_time: int) -> Mess
 MESSAGES = st.lists(
     st.builds(message, st.sampled_from(TOPICS), TIMES, st.binary(max_size=90), TIMES), max_size=40
 )
+
+
+OTHER = replace(TOPICS[0], definition="int64 data\n")
 
 
 def write(path: Path, messages: list[Message]) -> Path:
@@ -102,8 +105,7 @@ def test_rosbags_reads_them(messages: list[Message]):
 
 def test_two_layouts_of_a_topic_stay_two(tmp_path: Path):
     """Also after a recovery: no message gets the definition of another."""
-    other = replace(TOPICS[0], definition="int64 data\n")
-    messages = [message((TOPICS[0], other)[i % 2], i, bytes(12), i) for i in range(10)]
+    messages = [message((TOPICS[0], OTHER)[i % 2], i, bytes(12), i) for i in range(10)]
     bag = write(tmp_path / "bag", messages)
     recover(bag, tmp_path / "saved")
     for path in (bag, tmp_path / "saved"):
@@ -112,6 +114,19 @@ def test_two_layouts_of_a_topic_stay_two(tmp_path: Path):
                 m.channel.definition for m in messages
             ]
             assert own.topics["/a"].count == 10
+
+
+@given(MESSAGES, st.lists(st.sampled_from([*TOPICS, OTHER]), min_size=1))
+def test_blocks_of_messages_hold_what_single_messages_hold(messages, channels):
+    rows = [m._replace(channel=c, topic=c.name) for m, c in zip(messages, channels, strict=False)]
+    rows = rows or [message(OTHER, 0, b"", 0)]
+    block = messages_of(rows)
+    assert list(block) == list(block.compact()) == rows
+    assert list(block.sorted()) == sorted(rows, key=lambda m: m.log_time)
+    assert list(concatenate([block, block.sorted()])) == [*block, *block.sorted()]
+    assert {name: list(part) for name, part in block.by_topic()} == {
+        name: [m for m in rows if m.topic == name] for name in {m.topic for m in rows}
+    }
 
 
 def test_a_disk_that_is_full_in_the_middle_is_reported_and_nothing_is_left(tmp_path: Path):

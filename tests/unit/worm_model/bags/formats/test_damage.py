@@ -15,7 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
+from mcap_files import TYPE, mcap_bytes, payload
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
@@ -32,27 +33,13 @@ PLAIN, LZ4, ZSTD = CompressionType.NONE, CompressionType.LZ4, CompressionType.ZS
 
 
 @cache
-def mcap_bytes(
+def original(
     compression: CompressionType = ZSTD, chunked: bool = True, checksums: bool = True, n: int = 30
 ) -> bytes:
-    stream = BytesIO()
-    writer = Writer(
-        stream,
-        chunk_size=200,
-        compression=compression,
-        use_chunking=chunked,
-        enable_crcs=checksums,
-        enable_data_crcs=checksums,
-    )
-    writer.start("ros2")
-    schema = writer.register_schema("std_msgs/msg/UInt64", "ros2msg", b"uint64 data\n")
-    channels = [writer.register_channel(name, "cdr", schema) for name in TOPICS]
-    writer.add_metadata("worm_run", {"seed": "4"})
-    writer.add_attachment(0, 0, "parameters.yaml", "application/yaml", b"pitch: 0.0173\n")
-    for i in range(n):
-        writer.add_message(channels[i % 3], i + 1, b"\0\1\0\0" + struct.pack("<Q", i * i), i)
-    writer.finish()
-    return stream.getvalue()
+    rows = [(TOPICS[i % 3], i * i, i + 1, i) for i in range(n)]
+    checks = {"enable_crcs": checksums, "enable_data_crcs": checksums}
+    options = {"chunk_size": 200, "compression": compression, "use_chunking": chunked}
+    return mcap_bytes(TOPICS, rows, **options, **checks)
 
 
 @cache
@@ -61,9 +48,9 @@ def sqlite_bytes() -> bytes:
         path = Path(folder, "bag")
         with RosbagsWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
             store = get_typestore(Stores.ROS2_JAZZY)
-            connection = writer.add_connection("/a", "std_msgs/msg/UInt64", typestore=store)
+            connection = writer.add_connection("/a", TYPE, typestore=store)
             for i in range(60):
-                writer.write(connection, i + 1, b"\0\1\0\0" + struct.pack("<Q", i))
+                writer.write(connection, i + 1, payload(i))
         return next(path.glob("*.db3")).read_bytes()
 
 
@@ -103,23 +90,23 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
 
 @pytest.mark.parametrize("compression", [PLAIN, LZ4, ZSTD])
 def test_a_flip_costs_at_most_one_chunk_and_invents_nothing(tmp_path, compression):
-    data = mcap_bytes(compression)
-    original = independent(data)
+    data = original(compression)
+    expected = independent(data)
     path = tmp_path / "a.mcap"
     for place in range(len(MAGIC), len(data), 13):
         spoilt = bytearray(data)
         spoilt[place] ^= 1 << place % 8
         path.write_bytes(spoilt)
         found, reported = read(path)
-        assert found <= original, place
-        assert found == original or reported, place
-        assert (original - found).total() <= 5, place
+        assert found <= expected, place
+        assert found == expected or reported, place
+        assert (expected - found).total() <= 5, place
 
 
 @pytest.mark.parametrize("compression", [PLAIN, ZSTD])
 def test_a_file_that_is_cut_keeps_all_whole_chunks(tmp_path: Path, compression):
-    data = mcap_bytes(compression)
-    original = independent(data)
+    data = original(compression)
+    expected = independent(data)
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
     file = McapFile(path)
@@ -127,13 +114,13 @@ def test_a_file_that_is_cut_keeps_all_whole_chunks(tmp_path: Path, compression):
     for cut in range(len(MAGIC), len(data), 13):
         path.write_bytes(data[:cut])
         found, reported = read(path)
-        assert found <= original
+        assert found <= expected
         assert found.total() == sum(count for last, count in counts.items() if last <= cut), cut
         assert any("was not closed" in line for line in reported)
 
 
 def test_a_cut_file_without_chunks_keeps_the_messages_before_the_cut(tmp_path: Path):
-    data = mcap_bytes(PLAIN, chunked=False, n=20)
+    data = original(PLAIN, chunked=False, n=20)
     ends = [last for opcode, _, last in records(data) if opcode == 5]
     path = tmp_path / "a.mcap"
     for cut in range(len(MAGIC), len(data), 19):
@@ -153,7 +140,7 @@ def test_a_cut_file_without_chunks_keeps_the_messages_before_the_cut(tmp_path: P
     st.booleans(),
 )
 def test_no_edits_cause_a_traceback(name: str, edits, chunked: bool):
-    data = bytearray(sqlite_bytes() if name == "a.db3" else mcap_bytes(PLAIN, chunked, False))
+    data = bytearray(sqlite_bytes() if name == "a.db3" else original(PLAIN, chunked, False))
     for where, what in edits:
         at = min(int(where * len(data)), len(data) - 1)
         if at < 0:
@@ -176,7 +163,7 @@ def test_no_edits_cause_a_traceback(name: str, edits, chunked: bool):
 
 
 def test_the_loss_is_one_line_with_bytes_and_share_which_a_recovered_bag_repeats(tmp_path: Path):
-    data = bytearray(mcap_bytes())
+    data = bytearray(original())
     _, first, last = next(record for record in records(data) if record[0] == 6)
     data[last - 20] ^= 1
     path = tmp_path / "a.mcap"
@@ -196,7 +183,7 @@ def test_the_loss_is_one_line_with_bytes_and_share_which_a_recovered_bag_repeats
 
 
 def test_a_flip_in_a_metadata_record_is_reported(tmp_path: Path):
-    data = mcap_bytes()
+    data = original()
     _, first, last = next(record for record in records(data) if record[0] == 12)
     path = tmp_path / "a.mcap"
     for place in range(first, last, 3):
@@ -208,7 +195,7 @@ def test_a_flip_in_a_metadata_record_is_reported(tmp_path: Path):
 
 @pytest.mark.parametrize("checksums", [True, False])
 def test_a_chunk_that_is_missing_or_there_twice_is_reported(tmp_path: Path, checksums: bool):
-    data = mcap_bytes(checksums=checksums)
+    data = original(checksums=checksums)
     _, first, last = [record for record in records(data) if record[0] == 6][2]
     path = tmp_path / "a.mcap"
     for spoilt in (data[:first] + data[last:], data[:last] + data[first:]):
@@ -217,7 +204,7 @@ def test_a_chunk_that_is_missing_or_there_twice_is_reported(tmp_path: Path, chec
 
 
 def test_a_definition_that_the_data_lost_comes_from_the_summary(tmp_path: Path):
-    data = mcap_bytes(PLAIN, chunked=False)
+    data = original(PLAIN, chunked=False)
     definitions = [record for record in records(data) if record[0] in (3, 4)][:4]
     spoilt = bytearray(data)
     for _, first, _ in definitions:
@@ -229,15 +216,15 @@ def test_a_definition_that_the_data_lost_comes_from_the_summary(tmp_path: Path):
 
 def test_bytes_after_the_end_are_reported(tmp_path: Path):
     path = tmp_path / "a.mcap"
-    path.write_bytes(mcap_bytes() * 2)
+    path.write_bytes(original() * 2)
     found, reported = read(path)
-    assert found == independent(mcap_bytes())
-    assert any(f"{len(mcap_bytes())} bytes after its end" in line for line in reported)
+    assert found == independent(original())
+    assert any(f"{len(original())} bytes after its end" in line for line in reported)
 
 
 @pytest.mark.parametrize("compression", [LZ4, ZSTD])
 def test_a_chunk_that_declares_too_many_bytes_is_skipped(tmp_path, monkeypatch, compression):
-    data = mcap_bytes(compression)
+    data = original(compression)
     sizes = [
         struct.unpack_from("<Q", data, first + 25)[0]
         for kind, first, _ in records(data)
@@ -281,7 +268,7 @@ def reserved(opcode: int, content: bytes):
 @pytest.mark.parametrize("change", [longer, reserved])
 @pytest.mark.parametrize("chunked", [True, False])
 def test_a_file_of_a_later_version_is_read_without_a_word(tmp_path: Path, chunked: bool, change):
-    data = mcap_bytes(ZSTD, chunked)
+    data = original(ZSTD, chunked)
     path = tmp_path / "a.mcap"
     path.write_bytes(changed(data, change))
     found, reported = read(path)

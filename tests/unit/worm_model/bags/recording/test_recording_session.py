@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests to a recorder while it runs."""
 
-import errno
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,20 +12,12 @@ from worm_model.bags.formats.bag_errors import BagError, ExistsError
 from worm_model.bags.formats.finding import dated
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
-from worm_model.bags.recording import recorder
-from worm_model.bags.recording.recorder import BagRecorder, Manifest
+from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.recording_session import RING_BYTES, RecordingSession, after_crash
 
 TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
-LATCHED = Topic(
-    "/state",
-    "std_msgs/msg/UInt64",
-    0,
-    "uint64 data\n",
-    "ros2msg",
-    "cdr",
-    (("offered_qos_profiles", "- durability: transient_local\n"),),
-)
+QOS = ("offered_qos_profiles", "- durability: transient_local\n")
+LATCHED = replace(TOPIC, name="/state", metadata=(QOS,))
 SECOND = 10**9
 
 
@@ -64,34 +56,6 @@ def test_a_bag_holds_messages_and_topics_of_which_nothing_came(tmp_path: Path):
     assert seconds(tmp_path / "bag") == [1, 2]
     with open_bag(tmp_path / "bag") as bag:
         assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 2, "/state": 0}
-
-
-def test_a_full_disk_ends_the_recording_and_what_was_synchronised_stays(
-    tmp_path: Path, monkeypatch
-):
-    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
-    recording = session(tmp_path / "bag")
-    recording.offer([message(1), message(2)])
-
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(BagRecorder, "write", full)
-    recording.offer([message(3)])
-    recording.offer([message(4)])
-    recording.close()
-    assert recording.error.errno == errno.ENOSPC
-    with open_bag(tmp_path / "bag", lambda _: None) as bag:
-        assert [m.log_time // SECOND for m in bag.messages()] == [1, 2]
-
-
-def test_impossible_requests_are_rejected(tmp_path: Path):
-    recording = session(tmp_path / "bag")
-    with pytest.raises(BagError, match="no ring"):
-        recording.snapshot()
-    recording.close()
-    with pytest.raises(ExistsError):
-        session(tmp_path / "bag")
 
 
 def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
