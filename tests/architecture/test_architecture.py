@@ -306,65 +306,6 @@ def test_the_manifest_names_the_packages_that_are_imported(package: str):
     assert missing == []
 
 
-@pytest.mark.parametrize("package", sorted(set(PACKAGES) - {"worm_msgs"}))
-def test_every_executable_has_its_main(package: str):
-    setup = ast.parse((ROOT / "src" / package / "setup.py").read_text(encoding="utf-8"))
-    entries = next(
-        ast.literal_eval(node.value)
-        for node in ast.walk(setup)
-        if isinstance(node, ast.AnnAssign)
-        and isinstance(node.target, ast.Name)
-        and node.target.id == "EXECUTABLES"
-        and node.value is not None
-    )
-    for entry in entries:
-        module, function = entry.split("=")[1].strip().split(":")
-        file = ROOT / "src" / package / Path(*module.split("."))
-        path = file.with_suffix(".py") if file.with_suffix(".py").exists() else file / "__init__.py"
-        tree = tree_of(path)
-        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
-        names |= {
-            ast.unparse(node.targets[0]) for node in tree.body if isinstance(node, ast.Assign)
-        }
-        assert function in names, f"{entry}: no {function} in {path.relative_to(ROOT)}"
-
-
-def test_the_modules_of_executables_have_what_these_call():
-    """The modules are imported when the executables are called."""
-    wrong = []
-    for path in (ROOT / "src").glob("*/*/nodes/executables.py"):
-        for call in ast.walk(tree_of(path)):
-            if isinstance(call, ast.Call):
-                modules = [ast.literal_eval(argument) for argument in call.args][-2:]
-                names = ("rows", "run") if ast.unparse(call.func) == "node" else ("main",)
-                for module, name in zip(modules, names, strict=True):
-                    file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
-                    text = file.with_suffix(".py").read_text("utf-8")
-                    if not re.search(rf"^(def {name}\(|{name} = )", text, re.M):
-                        wrong.append(f"{module}.{name}")
-    assert wrong == []
-
-
-@pytest.mark.parametrize(
-    ("package", "name"),
-    [
-        ("worm_driver", "driver_node"),
-        ("worm_driver", "tracker_node"),
-        ("worm_driver", "virtual_robot"),
-        ("worm_model", "twin_node"),
-        ("worm_optimizer", "optimizer_node"),
-    ],
-)
-def test_the_help_of_a_node_imports_no_large_library(package, name):
-    code = (
-        f"import sys; sys.argv[1:] = ['--help']; from {package}.nodes import executables\n"
-        f"try: executables.{name}()\n"
-        "except SystemExit as end: assert not end.code\n"
-        "assert not {'numba', 'cv2', 'matplotlib', 'scipy', 'pymoo'} & {*sys.modules}"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 def test_the_core_runs_without_ros():
     """Importing the simulator must not import a middleware or a message."""
     code = (
