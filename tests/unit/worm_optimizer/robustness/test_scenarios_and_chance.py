@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from gaits_for_tests import coarse_front
 
-from worm_model.errors import InputError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.travel_error import PRIOR
@@ -216,9 +215,3 @@ def test_a_promise_that_the_nominal_robot_breaks_stands_no_margin():
     too_much = type(front)(*vars(front).values())
     too_much.count[:] = 15
     assert tolerated_margins(task, too_much).tolist() == [0.0]
-
-
-@pytest.mark.parametrize("probability", [0.0, 1.1, -1.0])
-def test_an_invalid_probability_is_rejected(probability):
-    with pytest.raises(InputError, match="probability"):
-        PromiseTask(MarginTask(), uncertainty.every_phase(PAPER), probability)
