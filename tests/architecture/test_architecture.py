@@ -29,10 +29,6 @@ PACKAGES: dict[str, set[str]] = {
     "worm_optimizer": {"worm_model", "worm_msgs"},
 }
 
-# At most this many names are imported from one of our modules. Beyond that, the module itself is imported, with so
-# many exceptions.
-MOST_NAMES, LONG_IMPORTS = 6, 25
-
 # Libraries that only the files named here may import.
 NODES = ["*/nodes/*.py"]
 # Plain tables and readers that several packages share. They do not import ROS, although they are in the package of the
@@ -232,20 +228,6 @@ def test_no_folders_import_each_other():
     assert (
         len(list(TopologicalSorter(folders).static_order())) > 30
     )  # or a CycleError names the cycle
-
-
-def test_a_module_of_which_many_names_are_needed_is_imported_itself():
-    """The number of exceptions may only fall. Messages are imported by name."""
-    long = [
-        f"{name_of(path)}:{node.lineno}"
-        for path in SOURCES
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.ImportFrom)
-        and len(node.names) > MOST_NAMES
-        and (node.module or "").startswith("worm_")
-        and not (node.module or "").endswith(".msg")
-    ]
-    assert len(long) <= LONG_IMPORTS, long
 
 
 def test_libraries_are_imported_only_where_they_belong():

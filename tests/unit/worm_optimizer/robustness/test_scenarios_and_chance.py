@@ -38,12 +38,6 @@ def success_of(
     return success_probability(task, front.stroke, front.frequency, front.count // 3, scenarios)
 
 
-def any_phase_task() -> PromiseTask:
-    return PromiseTask(
-        MarginTask(margin=uncertainty.phase_guard(PAPER)), uncertainty.every_phase(PAPER), 1.0
-    )
-
-
 def test_draws_have_the_stated_widths():
     draws = uncertainty.phase_known(FILE, 4000, seed=1).overrides
     for key, width in uncertainty.MOTION_HALF_WIDTHS.items():
@@ -171,7 +165,8 @@ def test_the_branch_ends_at_the_computed_distances():
 
 
 def test_any_phase_gaits_keep_their_promise_at_phases_that_they_were_not_made_with():
-    front = coarse_front(any_phase_task(), FEW).front
+    guarded = MarginTask(margin=uncertainty.phase_guard(PAPER))
+    front = coarse_front(PromiseTask(guarded, uncertainty.every_phase(PAPER), 1.0), FEW).front
     assert set((front.count // 3).tolist()) == {1, 2}
     phase = np.linspace(-0.5, 0.5, 500) * PITCH
     other = uncertainty.Scenarios({"initial_length": PAPER.initial_length + phase})
