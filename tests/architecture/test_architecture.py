@@ -36,17 +36,9 @@ NODES = ["*/nodes/*.py"]
 SHARED = {
     f"worm_msgs.{name}"
     for name in (
-        *(
-            "claim",
-            "command_parser",
-            "conditions",
-            "driver_file",
-            "gait",
-            "input_error",
-            "robot_parameters",
-            "servo_models",
-        ),
-        *("network", "parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
+        *("claim", "command_parser", "conditions", "driver_file", "gait", "input_error"),
+        *("network", "parameter_rows", "robot_parameters", "ros_parameter_file", "servo_models"),
+        *("settings_file", "yaml_file"),
     )
 }
 PROCESSES = [
@@ -57,16 +49,9 @@ CONFINED = {
     "rclpy": [*NODES, *PROCESSES],
     "rcl_interfaces": [*NODES, *PROCESSES],
     "worm_msgs": [*NODES, *PROCESSES],
-    "std_msgs": NODES,
-    "std_srvs": NODES,
-    "sensor_msgs": NODES,
-    "diagnostic_msgs": NODES,
-    "lifecycle_msgs": NODES,
-    "nav_msgs": NODES,
-    "tf2_msgs": NODES,
-    "visualization_msgs": NODES,
-    "geometry_msgs": NODES,
-    "builtin_interfaces": NODES,
+    **{f"{name}_msgs": NODES for name in ("std", "sensor", "diagnostic", "lifecycle", "nav")},
+    **{f"{name}_msgs": NODES for name in ("tf2", "visualization", "geometry")},
+    **dict.fromkeys(("std_srvs", "builtin_interfaces"), NODES),
     "dynamixel_sdk": ["worm_driver/servos/servo_bus.py", "*/wire/packet.py"],
     "cv2": ["worm_driver/tracking/vision.py"],
     "smbus2": ["worm_driver/power/i2c.py"],
@@ -80,7 +65,6 @@ CONFINED = {
         "*_plots.py",
         "*/report/*.py",
     ],
-    "PIL": [],
     "pydantic": ["worm_msgs/settings_file.py"],
     "pydantic_core": ["worm_msgs/settings_file.py"],
     "jinja2": ["worm_optimizer/report/report_page.py"],
@@ -88,17 +72,13 @@ CONFINED = {
     "mcap_ros2": ["worm_model/bags/*.py"],
     "rosbags": ["worm_model/bags/*.py"],
     "pandas": ["worm_model/analysis/run_table.py"],
-    "dask": [],
     "distributed": ["worm_optimizer/study/blocks.py"],
     "nicegui": ["worm_optimizer/console/*page*.py"],
     "fastapi": ["worm_optimizer/console/console_page.py"],
     "starlette": ["worm_optimizer/console/console_page.py"],
     "xarray": ["worm_optimizer/study/study_run.py"],
-    "launch": [],
-    "launch_ros": [],
-    "domain_coordinator": [],
-    "colcon_core": [],
-    "torch": [],
+    **{name: [] for name in ("launch", "launch_ros", "domain_coordinator", "colcon_core")},
+    **{name: [] for name in ("PIL", "dask", "torch")},
 }
 
 # Folders of its own package that a folder may import in addition to itself. Folders that are missing here may import

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gaits_for_tests import COARSE
 from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import joined_session
 from unrendered import leave_runs_unrendered
@@ -32,7 +33,6 @@ from worm_optimizer.report.optimisation import optimise, why_no_front
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import bags_of, newest_recording, read_recorded_gaits
 from worm_optimizer.report.report_page import Report, build_report
-from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 CYCLES = 5
@@ -321,19 +321,14 @@ def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> Recorded
     return dataclasses.replace(gait, played=dataclasses.replace(gait.played, gait=played))
 
 
-@pytest.fixture
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Return default settings that take a tenth of a second."""
+@pytest.mark.usefixtures("unrendered")
+def test_gaits_of_different_margins_get_the_cliffs_which_the_page_reports(
+    gait: RecordedGait, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     quick = functools.partial(
-        Settings, scan=ScanSettings(0.003, 0.004, 0.0002), resolution=Resolution(21, 17), samples=20
+        Settings, scan=ScanSettings(0.003, 0.004, 0.0002), resolution=COARSE, samples=20
     )
     monkeypatch.setattr("worm_optimizer.report.optimisation.Settings", quick)
-
-
-@pytest.mark.usefixtures("coarse", "unrendered")
-def test_gaits_of_different_margins_get_the_cliffs_which_the_page_reports(
-    gait: RecordedGait, tmp_path: Path
-):
     gaits = [made_with(gait, 0.002), made_with(gait, 0.003)]
     found = optimise(gaits)
     assert found.front.margin == found.price.margin == pytest.approx(0.0034)

@@ -46,15 +46,6 @@ def doubled(count: int = 3) -> list[list[float]]:
     return [[4.0 * k, 4.0 * k + 2.0] for k in range(count)]
 
 
-def test_blocks_are_computed_once(tmp_path, here):
-    assert found(tmp_path) == doubled()
-    assert here.pieces == 3
-    assert found(tmp_path) == doubled()
-    assert here.pieces == 3
-    assert found(tmp_path, count=5) == doubled(5)  # more blocks: only these
-    assert here.pieces == 5
-
-
 def files_of(folder: Path) -> list[Path]:
     return sorted((folder / "blocks").glob("*.block"))
 
