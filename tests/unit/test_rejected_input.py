@@ -57,6 +57,8 @@ BAD = [
     (REPLAY, "bag --namespace /x", "/x"),
     (OPTIMIZE, "--margin -1", "margin: -1.0 m is not between 0 and 0.1 m"),
     (OPTIMIZE, "--margin nan", "not a finite number"),
+    (OPTIMIZE, "--margin-n -1", "margin_force: -1.0 N"),
+    (OPTIMIZE, "--margin-n 5 --margin 0.001", "margin"),
     (OPTIMIZE, "--strokes 0.09 0.01", "bounds: stroke from 0.09 to 0.01 m"),
     (OPTIMIZE, "--strokes 0 0.09", "bounds: stroke"),
     (OPTIMIZE, "--frequencies -0.1 0.4", "bounds: frequency"),
