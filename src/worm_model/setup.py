@@ -27,7 +27,6 @@ EXECUTABLES: list[str] = [  # "executable = module:function"
 NEEDED = [
     "worm_msgs",
     "apsw>=3.40",
-    "lz4>=4",
     "matplotlib>=3.6",
     "mcap>=1.1",
     "numba>=0.58",
