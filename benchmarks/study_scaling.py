@@ -11,9 +11,8 @@ from pathlib import Path
 
 from benchmarks.report import Row
 from worm_optimizer.study.blocks import Workers
-from worm_optimizer.study.plan import Study
 from worm_optimizer.study.point import compute_block
-from worm_optimizer.study.study_file import parse_study
+from worm_optimizer.study.study_file import Study, load_study
 from worm_optimizer.study.study_run import run_study
 
 TITLE = "overhead of blocks against the batch simulator alone, points, workers"
@@ -27,7 +26,10 @@ compute: [front, gaits]
 
 def study_of(points: int) -> Study:
     """Return a study with the default resolution."""
-    return parse_study(_STUDY.format(points=points), Path())
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "study.yaml"
+        file.write_text(_STUDY.format(points=points))
+        return load_study(file)
 
 
 def timed(work: Callable[[], object]) -> float:

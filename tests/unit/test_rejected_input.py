@@ -22,9 +22,9 @@ EVALUATE, SIMULATE, IDENTIFY, EXPORT, REPLAY = (
     f"worm_model.commands.{name}"
     for name in ("evaluate_gait", "simulate", "identify", "export", "replay")
 )
-OPTIMIZE, CAMPAIGN, REPORT, STUDY, TUNE = (
+OPTIMIZE, SCAN, CAMPAIGN, REPORT, STUDY, TUNE = (
     f"worm_optimizer.commands.{name}"
-    for name in ("optimize", "campaign", "report", "study", "tune")
+    for name in ("optimize", "scan_margin", "campaign", "report", "study", "tune")
 )
 CALIBRATE, CHECK, SETUP_SERVO = (
     f"worm_driver.commands.{name}" for name in ("calibrate", "check", "setup_servo")
@@ -62,10 +62,19 @@ BAD = [
     (REPLAY, "bag --namespace /x", "/x"),
     (OPTIMIZE, "--margin -1", "margin: -1.0 m is not between 0 and 0.1 m"),
     (OPTIMIZE, "--margin nan", "not a finite number"),
+    (OPTIMIZE, "--margin-n -1", "margin_force: -1.0 N"),
+    (OPTIMIZE, "--margin-n 5 --margin 0.001", "margin"),
     (OPTIMIZE, "--strokes 0.09 0.01", "bounds: stroke from 0.09 to 0.01 m"),
+    (OPTIMIZE, "--strokes 0 0.09", "bounds: stroke"),
+    (OPTIMIZE, "--frequencies -0.1 0.4", "bounds: frequency"),
     (OPTIMIZE, "--strokes 0.01 0.5", "the body is 0.2952 m long"),
     (OPTIMIZE, "--method nsga2 --population 1", "give a population of at least 4"),
+    (OPTIMIZE, "--method nsga2 --generations 0", "search:"),
+    (OPTIMIZE, "--method nsga2 --seed -1", "seed -1"),
     (OPTIMIZE, "--method nsga2 --waveform shaped", "--waveform sinusoid"),
+    (OPTIMIZE, "--waveform shaped --pretensions 0.02 0.01", "bounds: pretension"),
+    (OPTIMIZE, "--waveform shaped --contraction-shares 0 0.5", "bounds: contraction_share"),
+    (OPTIMIZE, "--waveform shaped --ramp-shares 0.1 0.6", "bounds: ramp_share"),
     (OPTIMIZE, "--population 20", "need --method nsga2"),
     (OPTIMIZE, "--max-power 0.8", "idle power of 0.82 W"),
     (OPTIMIZE, "--max-power 1 --frequencies 0.2 0.2", "electrical_power excludes every gait"),
@@ -78,6 +87,10 @@ BAD = [
     (OPTIMIZE, "--robustness chance --margin 0.002", "--margin 0.002 has no effect"),
     (OPTIMIZE, "--robustness chance --margin-n 2", "--margin-n 2 has no effect"),
     (OPTIMIZE, "--robustness chance --probability 2", "at most 1, not 2.0"),
+    (SCAN, "--lowest 0.001 --highest 0", "scan:"),
+    (SCAN, "--highest 1", "scan:"),
+    (SCAN, "--step 0", "scan:"),
+    (SCAN, "--step 1e-9", "scan:"),
     ("worm_optimizer.commands.start", "--set prot=/dev/ttyUSB0", "'prot'"),
     (CAMPAIGN, "--output x --set port", "write NAME=VALUE"),
     (CAMPAIGN, "--output x --set prot=/dev/ttyUSB0", "no setting 'prot'"),

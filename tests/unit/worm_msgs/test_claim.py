@@ -14,6 +14,7 @@ DOMAIN = 100_000 + os.getpid()  # a domain that no other test uses at the same t
 CLAIMANT = """
 import sys
 from worm_msgs.claim import ClaimedError, claim
+# claims at the first line that it reads, and ends at the second
 sys.stdin.readline()
 try:
     made = claim("virtual robot or player", "/worm", int(sys.argv[1]))
@@ -22,21 +23,6 @@ except ClaimedError:
     print("rejected", flush=True)
 sys.stdin.readline()
 """
-
-
-def claimant() -> subprocess.Popen[str]:
-    """Start a process that claims at the first line that it reads, and ends at the second."""
-    return subprocess.Popen(
-        [sys.executable, "-c", CLAIMANT, str(DOMAIN)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-
-def go(process: subprocess.Popen[str]) -> None:
-    process.stdin.write("go\n")
-    process.stdin.flush()
 
 
 def test_a_second_claim_names_the_process_that_has_the_first():
@@ -58,10 +44,12 @@ def test_what_differs_is_claimed_independently(role, namespace, domain):
 
 
 def test_of_many_processes_that_claim_at_once_one_gets_it_and_a_kill_leaves_nothing_behind():
-    processes = [claimant() for _ in range(8)]
+    command, pipe = [sys.executable, "-c", CLAIMANT, str(DOMAIN)], subprocess.PIPE
+    processes = [subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) for _ in range(8)]
     try:
         for process in processes:
-            go(process)
+            process.stdin.write("go\n")
+            process.stdin.flush()
         answers = {process.stdout.readline().strip(): process for process in processes}
         assert set(answers) == {"claimed", "rejected"}
         with pytest.raises(ClaimedError, match=f"process {answers['claimed'].pid}"):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_msgs.gait import FORWARD, REVERSE, Gait, GaitError, Profile, gait_of
+from worm_msgs.gait import FORWARD, GAIT_UNITS, REVERSE, Gait, GaitError, Profile, gait_of
 from worm_msgs.msg import Gait as GaitMessage
 
 GAITS = st.builds(
@@ -119,6 +119,7 @@ def test_a_direction_is_an_integer():
     assert type(gait_of({"stroke": 0.07, "frequency": 0.2, "direction": -1.0}).direction) is int
 
 
-def test_the_constants_are_those_of_the_message():
+def test_the_fields_and_constants_are_those_of_the_message():
+    assert list(GaitMessage.get_fields_and_field_types()) == list(GAIT_UNITS)
     assert (Profile.COSINE, Profile.TRAPEZOID) == (GaitMessage.COSINE, GaitMessage.TRAPEZOID)
     assert (FORWARD, REVERSE) == (GaitMessage.FORWARD, GaitMessage.REVERSE)

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from worm_msgs.executable import node
-from worm_msgs.node_command import declare, declare_none
+from worm_msgs.node_command import declare
 from worm_msgs.parameter_rows import ParameterRow
 
 
@@ -149,17 +149,6 @@ def test_a_file_that_only_the_parser_of_ros_reads_is_used(monkeypatch, tmp_path)
     assert started(*arguments)[1]["speed_m_per_s"] == 0.25
 
 
-def test_a_node_without_parameters_rejects_them_all(capsys):
-    def run(_) -> None:
-        declare_none(Node("machine"))
-
-    arguments = ["machine", "--ros-args", "-p", "speed_m_per_s:=1.0"]
-    with pytest.raises(SystemExit) as error:
-        main_of(run)(arguments)
-    assert error.value.code == 2
-    assert "machine: no parameter speed_m_per_s: " in capsys.readouterr().err
-
-
 def test_help_names_every_parameter_and_starts_nothing(capsys):
     with pytest.raises(SystemExit) as error:
         started("--help")
@@ -168,15 +157,10 @@ def test_help_names_every_parameter_and_starts_nothing(capsys):
     assert all(f"{name}  (default" in text for name in NAMES)
 
 
-def node_with(*arguments: str) -> Node:
-    rclpy.init(args=["machine", *arguments])
+def test_a_node_takes_its_own_values_and_no_other_for_what_is_read_only():
+    rclpy.init(args=["machine"])
     node = Node("machine")
     declare(node, rows)
-    return node
-
-
-def test_a_node_takes_its_own_values_and_no_other_for_what_is_read_only():
-    node = node_with()
     own = [node.get_parameter(name) for name in node.get_parameters_by_prefix("")]
     assert {p.name for p in own} >= {"start_type_description_service", "use_sim_time", *NAMES}
     assert all(answer.successful for answer in node.set_parameters(own))

@@ -110,9 +110,17 @@ def test_several_drivers_or_none_are_rejected_with_their_names(file, names, repo
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[1, 2]", "a: b", "? [x]\n: 1", "%TAG !\n---\nx", "a: &b {c: *b}"]
+    ("text", "fact"),
+    [
+        *((text, "") for text in ("", "[1, 2]", "a: b", "? [x]\n: 1", "a: &b {c: *b}")),
+        *((text, "YAML") for text in ("{", "%TAG !\n---\nx")),
+        ("a: 1", "has no ros__parameters of /worm/driver"),
+        ("driver: {ros__parameters: {cable_servos.spool_radius_m: 0.02}}", "must be a list"),
+        ("driver: {ros__parameters: {cable_servos.spool_radius_m: [-1]}}", "greater than 0"),
+        ("driver: {ros__parameters: {limits.max_stroke_m: true}}", "must be a valid number"),
+    ],
 )
-def test_other_files_are_rejected(file, text):
-    with pytest.raises(SettingsFileError, match=r"robot\.yaml: .+") as error:
+def test_other_files_are_rejected(file, text, fact):
+    with pytest.raises(SettingsFileError, match=f"robot\\.yaml: .*{fact}") as error:
         read_driver_file(file(text))
     assert "\n" not in str(error.value)

@@ -95,30 +95,6 @@ def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(dri
     assert within(Bounds(), NO_LIMITS, "", "", None) == (Bounds(), NO_LIMITS)
 
 
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [
-        ("{", "YAML"),
-        ("a: 1", "has no ros__parameters of /worm/driver"),
-        ("driver: {ros__parameters: {cable_servos.spool_radius_m: 0.02}}", "must be a list"),
-        (
-            "driver: {ros__parameters: {limits.max_stroke_m: true}}",
-            "max_stroke_m must be a valid number",
-        ),
-        (
-            "driver: {ros__parameters: {cable_servos.spool_radius_m: [-1]}}",
-            "must be greater than 0, not -1",
-        ),
-    ],
-)
-def test_an_invalid_file_is_rejected_with_its_path(tmp_path, content, expected):
-    path = tmp_path / "driver.yaml"
-    path.write_text(content)
-    with pytest.raises(InputError, match=expected) as reported:
-        read_driver_file(path)
-    assert str(reported.value).startswith(str(path))
-
-
 def test_the_motors_line_counts_while_the_cable_is_pulled():
     """F/F_stall + v/v0 at the time of its maximum, and below the sum of both peaks."""
     gait, limits = Gait(0.07, 0.3), ActuatorLimits(stall_force=164.0, no_load_speed=0.12)

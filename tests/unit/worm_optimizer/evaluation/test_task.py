@@ -6,29 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from worm_model.errors import InputError
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.batch import branch_of, evaluate_gaits
 from worm_model.simulation.simulator import simulate
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.evaluation.task import Bounds, MarginTask
+from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.search.pareto import front_of
-
-
-@pytest.mark.parametrize(
-    "bounds",
-    [(0.09, 0.01, 0.08, 0.4), (0.0, 0.09, 0.08, 0.4), (0.01, 0.09, -0.1, 0.4), (0.01, 90, 0.1, 1)],
-)
-def test_an_invalid_box_is_rejected(bounds):
-    with pytest.raises(InputError, match=r"bounds: (stroke|frequency)"):
-        Bounds(*bounds)
-
-
-@pytest.mark.parametrize("margin", [-1e-3, math.nan, 1.0])
-def test_an_invalid_margin_is_rejected(margin):
-    with pytest.raises(InputError, match="margin"):
-        MarginTask(margin=margin)
 
 
 def test_standing_still_is_not_admissible():

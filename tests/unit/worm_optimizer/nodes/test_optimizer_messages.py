@@ -40,26 +40,26 @@ def test_an_answer_without_a_gait_has_no_figures():
     assert math.isnan(response.prediction.success_probability)
 
 
-def test_settings_missing_in_a_goal_keep_their_defaults():
-    """The seed is an exception, as 0 is seed 0."""
-    settings = optimizer_messages.settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
+@pytest.mark.parametrize(
+    ("goal", "changes"),
+    [
+        ({"margin": math.nan}, {"seed": 0}),  # no default, as 0 is seed 0
+        ({"margin": 1e-3, "seed": 5}, {"margin": 1e-3, "seed": 5}),
+        (
+            {"seed": 5, "margin": math.nan, "robustness": "chance", "probability": 0.9},
+            {"seed": 5, "robustness": Robustness.CHANCE, "probability": 0.9},
+        ),
+    ],
+)
+def test_a_goal_sets_its_settings_and_the_others_keep_their_defaults(goal, changes):
+    settings = optimizer_messages.settings_of_goal(QUICK, OptimizeGaits.Goal(**goal))
     assert QUICK.seed != 0
-    assert settings == dataclasses.replace(QUICK, seed=0)
-
-
-def test_a_goal_sets_its_settings():
-    goal = OptimizeGaits.Goal(margin=1e-3, seed=5, robustness="chance", probability=0.9)
-    settings = optimizer_messages.settings_of_goal(QUICK, goal)
-    assert settings.margin == 1e-3
-    assert settings.seed == 5
-    assert settings.robustness is Robustness.CHANCE
-    assert settings.probability == 0.9
+    assert settings == dataclasses.replace(QUICK, **changes)
 
 
 @pytest.mark.parametrize(
     ("goal", "expected"),
     [
-        ({"margin": -1.0}, "margin"),
         ({"seed": 2**40}, "seed"),
         ({"robustness": "luck"}, "none of margin, chance, any_phase"),
     ],

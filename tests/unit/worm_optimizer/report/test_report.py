@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gaits_for_tests import COARSE
 from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import joined_session
 from unrendered import leave_runs_unrendered
@@ -32,7 +33,6 @@ from worm_optimizer.report.optimisation import optimise, why_no_front
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import bags_of, newest_recording, read_recorded_gaits
 from worm_optimizer.report.report_page import Report, build_report
-from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 CYCLES = 5
@@ -51,7 +51,7 @@ def gait(tmp_path_factory: pytest.TempPathFactory) -> RecordedGait:
 
 @pytest.fixture
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do not render the figures of single gaits. The fixture `page` and the test without a tracker render them."""
+    """Do not render the figures of single gaits. The tests of the page and without a tracker render them."""
     leave_runs_unrendered(monkeypatch)
 
 
@@ -195,16 +195,11 @@ def test_events_contain_states_and_gaps(gait: RecordedGait):
 # --- several gaits in one recording ---------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory):
-    """Return the gaits of one bag that contains both, and the messages."""
-    bag = write_bag(tmp_path_factory.mktemp("bags") / "two", joined_session())
+def test_each_gait_of_a_recording_is_reported_with_a_message(tmp_path: Path):
+    """The twin goes on from one gait to the next."""
+    bag = write_bag(tmp_path / "two", joined_session())
     reported: list[str] = []
-    return read_recorded_gaits([bag], "", reported.append), reported
-
-
-def test_each_gait_of_a_recording_is_reported_with_a_message(two):
-    gaits, reported = two
+    gaits = read_recorded_gaits([bag], "", reported.append)
     assert [(gait.name, gait.played.cycles) for gait in gaits] == [("two_1", 4), ("two_2", CYCLES)]
     assert len(reported) == 1
     assert "2 gaits" in reported[0]
@@ -214,15 +209,26 @@ def test_each_gait_of_a_recording_is_reported_with_a_message(two):
         assert len(gait.judged.cycles) == gait.played.cycles
         assert [event.text for event in gait.events].count("running") == 1
         assert all(event.time >= 0.0 for event in gait.events if math.isfinite(event.time))
-
-
-def test_the_twin_goes_on_from_one_gait_to_the_next(two):
-    for gait in two[0]:
         assert gait.judged.residuals.x1_rmse < 1e-3
         assert gait.judged.cycles[0].grooves == round(gait.judged.cycles[0].measured_grooves)
 
 
 # --- expectations ---------------------------------------------------------------------------------
+
+
+def test_a_known_correlation_of_damping_and_power_factor_narrows_the_band_of_power():
+    # 2.7 and 2.1 % to either side, correlated with −0.97: estimated from the lab's eight runs
+    intervals = {key: (value, value) for key, value in PAPER.as_dict().items()}
+    intervals |= {"bellows_damping": (839.1, 885.7), "power_factor": (3.152, 3.288)}
+
+    def width(correlations) -> float:
+        content = ParameterFile(PAPER, intervals, correlations=correlations)
+        power = expect(GAIT, content).bands.power
+        return (power.high - power.low) / power.value
+
+    free, known = width({}), width({("bellows_damping", "power_factor"): -0.97})
+    assert 0.03 < free < 0.06
+    assert known < 0.45 * free
 
 
 def test_intervals_hold_the_prediction_and_are_the_same_each_time():
@@ -315,19 +321,14 @@ def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> Recorded
     return dataclasses.replace(gait, played=dataclasses.replace(gait.played, gait=played))
 
 
-@pytest.fixture
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Return default settings that take a tenth of a second."""
+@pytest.mark.usefixtures("unrendered")
+def test_gaits_of_different_margins_get_the_cliffs_which_the_page_reports(
+    gait: RecordedGait, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     quick = functools.partial(
-        Settings, scan=ScanSettings(0.003, 0.004, 0.0002), resolution=Resolution(21, 17), samples=20
+        Settings, scan=ScanSettings(0.003, 0.004, 0.0002), resolution=COARSE, samples=20
     )
     monkeypatch.setattr("worm_optimizer.report.optimisation.Settings", quick)
-
-
-@pytest.mark.usefixtures("coarse", "unrendered")
-def test_gaits_of_different_margins_get_the_cliffs_which_the_page_reports(
-    gait: RecordedGait, tmp_path: Path
-):
     gaits = [made_with(gait, 0.002), made_with(gait, 0.003)]
     found = optimise(gaits)
     assert found.front.margin == found.price.margin == pytest.approx(0.0034)
@@ -351,17 +352,9 @@ def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, t
 # --- the page -------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def special(gait: RecordedGait) -> RecordedGait:
-    return dataclasses.replace(gait, name="<b>odd & name</b>")
-
-
-@pytest.fixture(scope="module")
-def page(special: RecordedGait, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_report(Report("A <title>", [special]), tmp_path_factory.mktemp("page") / "report")
-
-
-def test_the_page_needs_nothing_else_and_figures_are_next_to_it(page: Path):
+def test_the_page_needs_nothing_else_and_figures_are_next_to_it(gait: RecordedGait, tmp_path: Path):
+    special = dataclasses.replace(gait, name="<b>odd & name</b>")
+    page = build_report(Report("A <title>", [special]), tmp_path / "report")
     text = page.read_text(encoding="utf-8")
     sources = re.findall(r'src="([^"]{0,40})', text)
     assert len(sources) == 3

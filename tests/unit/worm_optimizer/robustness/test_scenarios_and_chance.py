@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from gaits_for_tests import coarse_front
 
-from worm_model.errors import InputError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.travel_error import PRIOR
@@ -37,12 +36,6 @@ def success_of(
 ) -> np.ndarray:
     """Return the success probability of each gait of a front."""
     return success_probability(task, front.stroke, front.frequency, front.count // 3, scenarios)
-
-
-def any_phase_task() -> PromiseTask:
-    return PromiseTask(
-        MarginTask(margin=uncertainty.phase_guard(PAPER)), uncertainty.every_phase(PAPER), 1.0
-    )
 
 
 def test_draws_have_the_stated_widths():
@@ -172,7 +165,8 @@ def test_the_branch_ends_at_the_computed_distances():
 
 
 def test_any_phase_gaits_keep_their_promise_at_phases_that_they_were_not_made_with():
-    front = coarse_front(any_phase_task(), FEW).front
+    guarded = MarginTask(margin=uncertainty.phase_guard(PAPER))
+    front = coarse_front(PromiseTask(guarded, uncertainty.every_phase(PAPER), 1.0), FEW).front
     assert set((front.count // 3).tolist()) == {1, 2}
     phase = np.linspace(-0.5, 0.5, 500) * PITCH
     other = uncertainty.Scenarios({"initial_length": PAPER.initial_length + phase})
@@ -216,9 +210,3 @@ def test_a_promise_that_the_nominal_robot_breaks_stands_no_margin():
     too_much = type(front)(*vars(front).values())
     too_much.count[:] = 15
     assert tolerated_margins(task, too_much).tolist() == [0.0]
-
-
-@pytest.mark.parametrize("probability", [0.0, 1.1, -1.0])
-def test_an_invalid_probability_is_rejected(probability):
-    with pytest.raises(InputError, match="probability"):
-        PromiseTask(MarginTask(), uncertainty.every_phase(PAPER), probability)

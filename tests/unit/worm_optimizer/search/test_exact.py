@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples
 
-from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.actuation import length_change_range
@@ -103,9 +102,3 @@ def test_a_speed_is_answered_between_the_columns():
         assert speed <= gait.speed[0] <= speed + 1e-7 or gait.power[0] < 1.3
         finer = dense_grid(exact.task, np.linspace(0.08, 0.4, 41))
         assert gait.power[0] <= finer.power[finer.speed >= speed].min() * (1.0 + ACCEPTED)
-
-
-@pytest.mark.parametrize("wrong", [(2, 17), (21, 1)])
-def test_a_resolution_that_is_none_is_rejected(wrong):
-    with pytest.raises(InputError, match="resolution:"):
-        Resolution(*wrong)

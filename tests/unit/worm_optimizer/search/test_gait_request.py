@@ -4,7 +4,6 @@
 import dataclasses
 import math
 
-import numpy as np
 import pytest
 from gaits_for_tests import QUICK, small_front
 from hypothesis import given
@@ -88,13 +87,6 @@ def test_a_request_of_impossible_values_is_rejected(values, named):
     with pytest.raises(InputError, match=named):
         request_of(*values)
     assert request_of(1, math.nan, -1.0).objective is Objective.CRUISE
-
-
-def test_the_reverse_front_answers_in_its_direction():
-    gait = select(small_front(3.4e-3, -1), GaitRequest(Objective.CRUISE)).prediction
-    assert gait.direction == -1
-    assert gait.power == pytest.approx(FRONT.three["cruise"].power, rel=1e-6)
-    assert np.sign(gait.speed) == 1.0
 
 
 CONTENT = ParameterFile()

@@ -19,7 +19,6 @@ from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.robustness.uncertainty import phase_known
 from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.front import make_front
-from worm_optimizer.search.search_settings import settings_of
 
 UPHILL = under(Conditions(slope_deg=20.0, tether_n=2.0), PAPER)
 
@@ -38,12 +37,6 @@ def test_a_margin_may_be_stated_as_a_force():
     settings = dataclasses.replace(QUICK, margin_force=5.0)
     front = make_front(ParameterFile(), settings, 1)
     assert front.margin == pytest.approx(5.0 / (1833.1 + 442.0))
-
-
-@pytest.mark.parametrize("values", [{"margin_n": -1.0}, {"margin_n": 5.0, "margin_m": 0.001}])
-def test_a_margin_that_contradicts_itself_is_rejected(values):
-    with pytest.raises(InputError, match="margin"):
-        settings_of(values)
 
 
 def test_conditions_of_the_settings_load_the_robot():

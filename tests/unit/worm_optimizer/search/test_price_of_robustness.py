@@ -98,11 +98,3 @@ def test_without_a_cliff_the_greatest_moving_margin_is_chosen_if_there_is_one():
     assert PriceOfRobustness(moving, None, 3.4e-3, 1.1e-3).margin == 1e-3
     with pytest.raises(InputError, match="no gait within the bounds moves at any margin"):
         _ = PriceOfRobustness((STILL,), None, 3.4e-3, 1.1e-3).margin
-
-
-@pytest.mark.parametrize(
-    "wrong", [(1e-3, 0.0, 1e-4), (0.0, 1.0, 1e-4), (0.0, 8e-3, 0.0), (0, 8e-3, 1e-9)]
-)
-def test_invalid_margins_are_rejected(wrong):
-    with pytest.raises(InputError, match="scan:"):
-        ScanSettings(*wrong)

@@ -46,15 +46,6 @@ def doubled(count: int = 3) -> list[list[float]]:
     return [[4.0 * k, 4.0 * k + 2.0] for k in range(count)]
 
 
-def test_blocks_are_computed_once(tmp_path, here):
-    assert found(tmp_path) == doubled()
-    assert here.pieces == 3
-    assert found(tmp_path) == doubled()
-    assert here.pieces == 3
-    assert found(tmp_path, count=5) == doubled(5)  # more blocks: only these
-    assert here.pieces == 5
-
-
 def files_of(folder: Path) -> list[Path]:
     return sorted((folder / "blocks").glob("*.block"))
 
@@ -129,23 +120,6 @@ def test_a_killed_scheduler_is_reported_and_its_blocks_remain(tmp_path, cluster)
     assert found(tmp_path, Workers(cluster.scheduler_address), count=20) == doubled(20)
 
 
-@contextlib.contextmanager
-def foreign_worker(folder: Path, *packages: str) -> Iterator[str]:
-    """Return the address of a scheduler whose only worker runs in ``folder`` with these packages."""
-    path = os.pathsep.join([str(folder), *(str(ROOT / "src" / package) for package in packages)])
-    with (
-        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
-        process(
-            *("dask_worker", empty.scheduler_address, "--no-nanny", "--nthreads", "1"),
-            cwd=folder,
-            path=path,
-        ),
-        Client(empty) as client,
-    ):
-        client.wait_for_workers(1, timeout=120)
-        yield empty.scheduler_address
-
-
 @pytest.mark.night
 def test_a_block_that_kills_each_worker_is_one_line(tmp_path):
     with pytest.raises(LostError, match=r"are lost.*0 of 3 blocks are finished"):
@@ -168,8 +142,14 @@ def test_no_scheduler_and_no_workers_are_one_line(tmp_path, monkeypatch):
 def test_a_worker_without_the_package_is_rejected_by_name_at_once(tmp_path):
     """Dask never reports a block that such a worker cannot load."""
     shutil.copy(ROOT / "tests/helpers/worker_jobs.py", tmp_path)
+    folders = tmp_path, ROOT / "src" / "worm_model", ROOT / "src" / "worm_msgs"
+    path = os.pathsep.join(map(str, folders))
     with (
-        foreign_worker(tmp_path, "worm_model", "worm_msgs") as address,
-        pytest.raises(InputError, match=r"worker tcp.*No module named"),
+        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
+        Client(empty) as client,
     ):
-        found(tmp_path, Workers(address))
+        worker = "dask_worker", empty.scheduler_address, "--no-nanny", "--nthreads", "1"
+        with process(*worker, cwd=tmp_path, path=path):
+            client.wait_for_workers(1, timeout=120)
+            with pytest.raises(InputError, match=r"worker tcp.*No module named"):
+                found(tmp_path, Workers(empty.scheduler_address))

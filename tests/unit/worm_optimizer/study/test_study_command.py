@@ -26,8 +26,11 @@ pytestmark = pytest.mark.timeout(300)
 def test_a_killed_study_continues_with_the_same_values(tmp_path, run, cluster):
     file, output, whole = tmp_path / "s.yaml", tmp_path / "s.nc", tmp_path / "whole.nc"
     file.write_text(SMALL)
+    status, out, err = run(command, file, "--output", whole, "--workers", "1", "--json")
+    assert status == 0
+    assert json.loads(out) == {"points": 6, "done": 6, "failed": 3, "output": str(whole)}
+    assert "100%" in err
     workers = ("--scheduler", cluster.scheduler_address)
-    assert run(command, str(file), "--output", str(whole), *workers)[0] == 0
     arguments = (str(file), "--output", str(output), *workers, "--json")
     killed = subprocess.Popen(
         [sys.executable, "-c", COMMAND, *arguments], stderr=subprocess.DEVNULL
@@ -40,16 +43,6 @@ def test_a_killed_study_continues_with_the_same_values(tmp_path, run, cluster):
     assert json.loads(out) == {"points": 6, "done": 6, "failed": 3, "output": str(output)}
     # A worker that has just compiled the kernel rounds differently from one that loads it.
     xarray.testing.assert_allclose(xarray.load_dataset(output), xarray.load_dataset(whole), 1e-12)
-
-
-def test_a_study_on_this_machine(tmp_path, run):
-    file, output = tmp_path / "s.yaml", tmp_path / "s.nc"
-    file.write_text(SMALL)
-    arguments = (str(file), "--output", str(output), "--workers", "1", "--json")
-    status, out, err = run(command, *arguments)
-    assert status == 0
-    assert json.loads(out) == {"points": 6, "done": 6, "failed": 3, "output": str(output)}
-    assert "100%" in err
 
 
 def test_the_examples_are_studies():
