@@ -96,12 +96,11 @@ class Session:
         cycles: int = 3,
         *,
         stop_after: float = math.inf,
-        cancel_after: float = math.inf,
         before: float = 2.0,
         after: float = 2.0,
         disturb: Callable[[VirtualRobot, float], None] = lambda _robot, _time: None,
     ) -> Played:
-        """Play a gait, stopped (held at once) or cancelled (at the next rest) after a time in s from its onset.
+        """Play a gait, or hold the robot at a time in s after the onset.
 
         ``before`` and ``after`` are the times in s by which a recording begins earlier and ends later. ``disturb`` is
         called with the time since the onset.
@@ -120,8 +119,6 @@ class Session:
             if run is not None and clock.now >= onset + stop_after:
                 robot.stop(clock.now, "the service stop was called")
                 return True
-            if run is not None and clock.now >= onset + cancel_after:
-                robot.cancel(clock.now)
             return run is None
 
         self._follow(LONGEST_S, over)
