@@ -32,17 +32,10 @@ from worm_model.twin.twin_settings import DEFAULTS
 
 EPOCH = 1_700_000_000_000_000_000
 LONGEST_S = 120.0  # of one gait
-_STATE = {
-    Phase.IDLE: Activity.IDLE,
-    Phase.RETURNING: Activity.RESTING,
-    Phase.FLIPPING: Activity.RESTING,
-    Phase.TENSIONING: Activity.RESTING,
-    Phase.RESTING: Activity.RESTING,
-    Phase.RUNNING: Activity.RUNNING,
-    Phase.STOPPING: Activity.STOPPING,
+_ACTIVITY = {
+    **dict.fromkeys((Phase.RETURNING, Phase.FLIPPING, Phase.TENSIONING), Activity.RESTING),
     Phase.HOLDING: Activity.IDLE,
-    Phase.FAULT: Activity.FAULT,
-}
+}  # all others have its name
 
 
 @dataclass(frozen=True)
@@ -174,7 +167,8 @@ class Session:
         if shown != self._shown:
             self._shown = shown
             stamp = EPOCH + round(now * 1e9)
-            state = _STATE[player.phase] if snapshot.active else Activity.INACTIVE
+            state = _ACTIVITY.get(player.phase) or Activity[player.phase.name]
+            state = state if snapshot.active else Activity.INACTIVE
             onset = 0 if run is None or run.onset is None else EPOCH + round(run.onset * 1e9)
             number = 0 if player.run is None else player.run.number
             gait = (0.0,) * len(VALUES) if run is None else tuple(map(float, astuple(run.gait)))

@@ -3,12 +3,11 @@
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from commander import EVERY_STATE
-from harness import TIMEOUT_S, Probe, Processes, VirtualWorm
+from harness import TIMEOUT_S, Probe, Processes
 
 from worm_model.commands import bags, replay
 from worm_model.nodes.twin_messages import nanoseconds
@@ -29,13 +28,9 @@ class Lab:
 
     def __init__(self, processes: Processes, probe: Probe, folder: Path) -> None:
         self.processes, self.probe = processes, probe
-        worm = VirtualWorm(processes, probe, folder)
-        # `operate run` would search for a missing optimizer for seconds; it records by itself
-        nodes = tuple(node for node in worm.system.nodes if node.name != "recorder")
-        worm.system = replace(worm.system, nodes=nodes)
-        worm.start()
-        processes.processes["twin"].wait_for_line("twin ready", 4 * TIMEOUT_S)
-        worm.wait_until_active()
+        place = ("--set", f"directory={folder / 'robot'}")
+        start = processes.start_executable("worm_optimizer", "start", "--virtual", *place)
+        start.wait_for_line("ready: ", 4 * TIMEOUT_S)
         self.states = probe.collect(GaitState, "gait_state", EVERY_STATE)
         self.residuals = probe.collect(TwinResiduals, "twin/residuals", 100_000)
         self.events = probe.collect(TwinEvent, "twin/events")
