@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded_run import GAIT, simulated_run, write_bag
-from recorded_session import joined_session
 from unrendered import leave_runs_unrendered
+from virtual_session import joined_session
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.stored_file import AttachedFile
