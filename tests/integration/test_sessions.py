@@ -45,11 +45,20 @@ class Lab:
             )
             assert self.processes.operate("stop").wait(4 * TIMEOUT_S) == 0
         assert process.wait(8 * TIMEOUT_S) == (1 if MANY in gait else 0), process.output()
-        self.probe.wait_for(lambda: self.states and self.states[-1].state == GaitState.IDLE, "end")
-        onset = max(nanoseconds(state.onset) for state in self.states)
+
+        def onset() -> int:
+            return max((nanoseconds(state.onset) for state in self.states), default=0)
+
+        self.probe.wait_for(
+            lambda: onset() and self.states[-1].state == GaitState.IDLE, "end of the gait"
+        )
+        end = self.states[-1].header.stamp
+        self.probe.wait_for(
+            lambda: self.residuals and self.residuals[-1].header.stamp.sec > end.sec, "residuals"
+        )
 
         def since_onset(messages: list) -> list:
-            return [m for m in messages if nanoseconds(m.header.stamp) >= onset]
+            return [m for m in messages if nanoseconds(m.header.stamp) >= onset()]
 
         assert max(m.health for m in since_onset(self.residuals)) == TwinResiduals.HEALTHY
         assert {m.code for m in since_onset(self.events)} <= {"", INFORMATION}
