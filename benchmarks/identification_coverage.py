@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.report import Row, wall_time
-from tests.helpers.foreign_lab import write_foreign_lab
 from tests.helpers.foreign_robot import some_robot
+from tests.helpers.lab_files import write_foreign_lab
 from tests.helpers.virtual_campaign import CAMPAIGN, SPREAD, virtual_campaign
 from worm_model.errors import IdentificationError
 from worm_model.identification.fits.estimate import Estimate

@@ -21,6 +21,8 @@ from worm_msgs.srv import InjectFault
 
 SERVOS = (1, 11, 12)  # of the virtual robot: one cable servo, two fin servos
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
+#: of a latched topic, whose queue also keeps a state that is shorter than a pause of this process
+EVERY_STATE = QoSProfile(depth=1000, reliability=LATCHED.reliability, durability=LATCHED.durability)
 
 
 def parameters(directory: Path, **changes: object) -> dict[str, object]:
@@ -39,7 +41,7 @@ class Commander:
 
     def __init__(self, probe) -> None:
         self.probe = probe
-        self.states = probe.collect(GaitState, "gait_state", LATCHED)
+        self.states = probe.collect(GaitState, "gait_state", EVERY_STATE)
         self.reports: list[DiagnosticArray] = probe.collect(DiagnosticArray, "/diagnostics")
 
     def change(self, transition: int) -> bool:
@@ -81,9 +83,14 @@ class Commander:
         request = InjectFault.Request(**fields)
         assert self.probe.call(InjectFault, "inject_fault", request).success
 
-    def wait_for_state(self, state: int, what: str) -> GaitState:
-        self.probe.wait_for(lambda: self.states and self.states[-1].state == state, what)
-        return self.states[-1]
+    def wait_for_state(self, state: int, what: str, text: str = "") -> GaitState:
+        """Wait until the driver is in a state whose message contains a text."""
+
+        def there() -> GaitState | None:
+            last = self.states[-1] if self.states else None
+            return last if last and last.state == state and text in last.message else None
+
+        return self.probe.wait_for(there, what)
 
     def wait_for_report(self, name: str, level: bytes, expected: str) -> DiagnosticStatus:
         def found():

@@ -30,10 +30,11 @@ from worm_driver.servos.servo_bus import BusPort, ServoBus
 from worm_driver.servos.transmission import Spool
 from worm_driver.virtual_robot.servo.control_table import VirtualServoModel
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.virtual_bus import Transmission
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader
+from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader, Packet
 from worm_msgs.gait import Gait
 
 # `Rig.copy`: the copy gets its own threads and events, as the rig starts none. It shares the read-only tables.
@@ -42,6 +43,8 @@ copyreg.pickle(threading.Event, lambda _: (threading.Event, ()))
 copyreg.pickle(type(threading.Lock()), lambda _: (threading.Lock, ()))
 copyreg.pickle(MappingProxyType, lambda _: "the table itself")
 
+#: instructions that change nothing
+READING = {Instruction.PING, Instruction.READ, Instruction.SYNC_READ}
 BAUD_RATE = 1_000_000
 BYTE_TIME = 10 / BAUD_RATE
 CABLE = 1
@@ -146,18 +149,35 @@ class SimulatedPort(BusPort):
         self.is_open = False
 
 
-class Line:
-    """Bus with the servos of a virtual robot, by default the installed one, on a clock of its own."""
+class Bench:
+    """Servo bus on virtual servos that hear only their own baud rate, with a record of the instructions.
 
-    def __init__(self, robot: VirtualRobot | None = None) -> None:
+    Args:
+        receive: returns the answers to bytes at a time (s) and baud rate (bit/s), as `VirtualRobot.receive`.
+    """
+
+    def __init__(self, receive: Callable[[bytes, float, int], list[Transmission]]):
+        def answer(data: bytes, now: float) -> list[tuple[float, bytes]]:
+            return [(t.time, t.data) for t in receive(data, now, self.port.baudrate)]
+
         self.clock = Clock()
-        self.robot = robot or VirtualRobot(installed_robot())
-        self.wire = Wire(self.clock, self._answer)
+        self.wire = Wire(self.clock, answer)
         self.port = SimulatedPort(self.wire, self.clock)
         self.bus = ServoBus(self.port)
 
-    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
-        return [(t.time, t.data) for t in self.robot.receive(data, now)]
+    @property
+    def written(self) -> list[Packet]:
+        """Instructions that change something."""
+        sent = InstructionReader(1.0).feed(b"".join(self.wire.sent), self.clock.now)
+        return [packet for packet in sent if packet.instruction not in READING]
+
+
+class Line(Bench):
+    """Bus with the servos of a virtual robot, by default the installed one, on a clock of its own."""
+
+    def __init__(self, robot: VirtualRobot | None = None) -> None:
+        self.robot = robot or VirtualRobot(installed_robot())
+        super().__init__(self.robot.receive)
 
     def inject(self, name: str, **arguments: object) -> None:
         """Inject a fault of the virtual robot now."""

@@ -10,7 +10,7 @@ to the cycle in which x1 falls behind: the front fin's miss happens at the end o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -361,18 +361,11 @@ def _integrate(
 
 def _bodies(truth: Parameters, lab: Lab, count: int, draw: np.random.Generator) -> np.recarray:
     """Return the parameters of each robot as a row."""
-    drawn = _parameters(truth, lab, count, draw)
-    return np.rec.fromarrays(list(drawn.values()), names=list(drawn))
-
-
-def _parameters(
-    truth: Parameters, lab: Lab, count: int, draw: np.random.Generator
-) -> dict[str, np.ndarray]:
-    found = {}
-    for field in fields(truth):
-        spread = 0.0 if field.name in NOT_SPREAD else lab.spread
-        found[field.name] = getattr(truth, field.name) * np.exp(draw.normal(0.0, spread, count))
-    return found
+    columns = {}
+    for name, value in asdict(truth).items():
+        spread = 0.0 if name in NOT_SPREAD else lab.spread
+        columns[name] = value * np.exp(draw.normal(0.0, spread, count))
+    return np.rec.fromarrays(list(columns.values()), names=list(columns))
 
 
 def followed(rows: np.ndarray, parameters: Parameters = PAPER) -> Output:

@@ -4,12 +4,9 @@
 import contextlib
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import rclpy
-from lifecycle_msgs.msg import State
-from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import ListParameters
 from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import SingleThreadedExecutor
@@ -20,9 +17,7 @@ from rclpy.task import Future
 from worm_msgs.goal_rejections import REJECTIONS_QOS, rejections_topic
 from worm_msgs.msg import GoalRejection
 from worm_msgs.qos import LATCHED as LATCHED
-from worm_optimizer.operation.bring_up import start_nodes
 from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
-from worm_optimizer.operation.system import installed_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 100.0  # long, as only a failing test waits so long
@@ -176,36 +171,3 @@ class Probe:
             return next((r.reason for r in rejections if bytes(r.goal) == own), None)
 
         return str(self.wait_for(reason, "reason of the rejection"))
-
-
-class VirtualWorm:
-    """The nodes of system.yaml in virtual mode, as the demo starts them."""
-
-    def __init__(
-        self, processes: Processes, probe: Probe, directory: Path, **settings: str
-    ) -> None:
-        self.processes = processes
-        self.probe = probe
-        self.directory = directory
-        self.system = installed_system_file().system(
-            "virtual", directory=str(directory / "robot"), bag=str(directory / "bag"), **settings
-        )
-
-    def start(self) -> None:
-        """Start all nodes."""
-        start_nodes(self.processes, self.system)
-
-    def interrupt(self, name: str) -> int:
-        """Press Ctrl-C for one node and return its exit status."""
-        process = self.processes.processes[name]
-        process.interrupt()
-        return process.wait(TIMEOUT_S)
-
-    def wait_until_active(self) -> None:
-        """Wait until the driver has activated itself."""
-
-        def is_active() -> bool:
-            answer = self.probe.call(GetState, "driver/get_state", GetState.Request())
-            return answer.current_state.id == State.PRIMARY_STATE_ACTIVE
-
-        self.probe.wait_for(is_active, "active driver")

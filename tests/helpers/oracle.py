@@ -22,6 +22,7 @@ from scipy.optimize import brentq
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 
+OPTIONS = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-13}  # of SciPy's solve_ivp, with atol in m
 SETTLING_S = 1e-9  # after an event, in which its border cannot be passed again
 ROUNDING_N = 1e-9  # force beyond its dry friction that still holds a module that creeps to rest
 
@@ -58,18 +59,10 @@ class _Discrete:
 
 
 class Oracle:
-    """Model of one gait; ``method``, ``rtol`` and ``atol`` (m) are those of SciPy's solve_ivp."""
+    """Model of one gait."""
 
-    def __init__(
-        self,
-        gait: Gait,
-        parameters: Parameters,
-        method: str = "DOP853",
-        rtol: float = 1e-10,
-        atol: float = 1e-13,
-    ) -> None:
+    def __init__(self, gait: Gait, parameters: Parameters) -> None:
         self.gait, self.p = gait, parameters
-        self.options = {"method": method, "rtol": rtol, "atol": atol}
         self.threshold = parameters.switching_threshold + gait.margin
         self.half = 0.5 * parameters.clearance
         self.cosine = gait.profile.name == "COSINE"
@@ -374,7 +367,7 @@ class Oracle:
                 events=[_from_the_right_side(gap, time) for gap in gaps + grips],
                 dense_output=True,
                 max_step=longest,
-                **self.options,
+                **OPTIONS,
             )
             times = _within_steps(solution.t)
             states = solution.sol(times)

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from driver_rig import Rig, installed_robot
+from recorded_run import GAIT
 from twin_samples import run_of_rows
 
 from worm_driver.control.driver_settings import DriverSettings
@@ -32,17 +33,11 @@ from worm_model.twin.twin_settings import DEFAULTS
 
 EPOCH = 1_700_000_000_000_000_000
 LONGEST_S = 120.0  # of one gait
-_STATE = {
-    Phase.IDLE: Activity.IDLE,
-    Phase.RETURNING: Activity.RESTING,
-    Phase.FLIPPING: Activity.RESTING,
-    Phase.TENSIONING: Activity.RESTING,
-    Phase.RESTING: Activity.RESTING,
-    Phase.RUNNING: Activity.RUNNING,
-    Phase.STOPPING: Activity.STOPPING,
+JOINED = 4, 5  # cycles of the gaits of a joined session
+_ACTIVITY = {
+    **dict.fromkeys((Phase.RETURNING, Phase.FLIPPING, Phase.TENSIONING), Activity.RESTING),
     Phase.HOLDING: Activity.IDLE,
-    Phase.FAULT: Activity.FAULT,
-}
+}  # all others have its name
 
 
 @dataclass(frozen=True)
@@ -174,7 +169,8 @@ class Session:
         if shown != self._shown:
             self._shown = shown
             stamp = EPOCH + round(now * 1e9)
-            state = _STATE[player.phase] if snapshot.active else Activity.INACTIVE
+            state = _ACTIVITY.get(player.phase) or Activity[player.phase.name]
+            state = state if snapshot.active else Activity.INACTIVE
             onset = 0 if run is None or run.onset is None else EPOCH + round(run.onset * 1e9)
             number = 0 if player.run is None else player.run.number
             gait = (0.0,) * len(VALUES) if run is None else tuple(map(float, astuple(run.gait)))
@@ -231,3 +227,13 @@ def recording(
     earlier = [memory for memory in memories if memory[0] + delay < begin_ns][-1:]
     later = [memory for memory in memories if begin_ns <= memory[0] + delay <= end_ns]
     return run_of_rows(np.concatenate([latched, part]), [*earlier, *later])
+
+
+def joined_session() -> Run:
+    """Return one recording of two gaits; the second begins with fins that the first has deflected."""
+    session = Session()
+    for cycles in JOINED:
+        session.run(GAIT, cycles)
+    run = run_of_rows(session.rows)
+    cycles = np.array([0, *JOINED])[run.gait_state.run]
+    return replace(run, gait_state=replace(run.gait_state, cycles=cycles))

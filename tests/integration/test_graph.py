@@ -6,6 +6,7 @@ A policy is enough for its node, and no more (for people: enough).
 
 import re
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,10 +14,11 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from camera_rig import SETUP_FILE
-from commander import torques
+from commander import Commander, torques
 from diagnostic_msgs.msg import DiagnosticArray
-from harness import LATCHED, NAMESPACE, Probe, Processes, VirtualWorm
+from harness import LATCHED, NAMESPACE, TIMEOUT_S, Probe, Processes
 from interfaces_page import rows_of
+from lifecycle_msgs.msg import State
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from recorded_run import simulated_run, write_bag
 from sensor_msgs.msg import JointState
@@ -25,7 +27,8 @@ from worm_model.gait import Gait as PlayedGait
 from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, GaitState
 from worm_optimizer.nodes.operator_node import operator
-from worm_optimizer.operation.processes import executable_command
+from worm_optimizer.operation.bring_up import start_nodes
+from worm_optimizer.operation.processes import Process, executable_command
 from worm_optimizer.operation.system import MODES, installed_system_file
 from worm_optimizer.robot_commands import GaitCommand
 
@@ -67,24 +70,26 @@ Rights = dict[tuple[str, str], set[str]]
 
 
 @pytest.fixture(scope="module")
-def worm(module_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[VirtualWorm]:
+def worm(module_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
     """Start all nodes of the virtual mode. The last test that uses them ends them."""
     folder = tmp_path_factory.mktemp("graph")
-    probe = Probe(module_domain)
+    places = {name: str(folder / name) for name in ("directory", "bag")}
     with Processes(folder) as processes:
-        worm = VirtualWorm(processes, probe, folder)
-        worm.start()
-        worm.wait_until_active()
+        probe = Probe(module_domain)
+        start_nodes(processes, installed_system_file().system("virtual", **places))
+        driver = Commander(probe)
+        probe.wait_for(
+            lambda: driver.lifecycle_state() == State.PRIMARY_STATE_ACTIVE, "active driver"
+        )
         probe.close()
-        yield worm
+        yield processes
 
 
 @pytest.fixture
-def graph(worm: VirtualWorm, module_domain: int) -> Iterator[Probe]:
+def graph(worm: Processes, module_domain: int) -> Iterator[Probe]:
     """Return a node of the test in the graph."""
-    worm.probe = Probe(module_domain)
-    yield worm.probe
-    worm.probe.close()
+    with closing(Probe(module_domain)) as probe:
+        yield probe
 
 
 def test_topics_services_and_actions_are_those_of_the_documentation(graph):
@@ -219,11 +224,11 @@ def wait(probe: Probe, condition: Callable[[], bool], what: Callable[[], list[st
 
 
 def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
-    worm: VirtualWorm, graph: Probe
+    worm: Processes, graph: Probe
 ):
     people: list[Rights] = []  # names of the operator in each cycle of its gait
     gait = PlayedGait(stroke=0.03, frequency=0.4)
-    with operator(worm.system.namespace, lambda: None) as person:
+    with operator(NAMESPACE, lambda: None) as person:
         person.deactivate()
         person.activate()
         person.run(GaitCommand(gait, 1), lambda _: people.append(announced(graph, "operator")))
@@ -244,7 +249,14 @@ def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
     assert found == []
 
 
+def interrupt(process: Process) -> int:
+    """Press Ctrl-C for a node and return its exit status."""
+    process.interrupt()
+    return process.wait(TIMEOUT_S)
+
+
 def test_each_node_ends_on_ctrl_c_and_the_driver_stops_the_servos(worm, graph):
+    nodes = worm.processes
     states = graph.collect(GaitState, "gait_state", LATCHED)
     joints = graph.collect(JointState, "joint_states")
     assert graph.send_goal(RunGait, "run_gait", LONG_GAIT).accepted
@@ -253,22 +265,22 @@ def test_each_node_ends_on_ctrl_c_and_the_driver_stops_the_servos(worm, graph):
 
     for name in BYSTANDERS:
         graph.wait_for(lambda name=name: name in graph.node.get_node_names(), f"node {name}")
-        assert worm.interrupt(name) == 0, name
+        assert interrupt(nodes[name]) == 0, name
         cycle = states[-1].cycle
         graph.wait_for(lambda cycle=cycle: states[-1].cycle > cycle, f"cycle without {name}")
         assert states[-1].state == GaitState.RUNNING
 
     # The recorder continues until the robot rests, see --to-rest.
-    worm.processes.processes["recorder"].interrupt()
+    nodes["recorder"].interrupt()
     # Within 1.5 s, a second signal belongs to the same Ctrl-C. A cycle is longer.
     cycle = states[-1].cycle
     graph.wait_for(lambda: states[-1].cycle > cycle + 1, "cycle with a recorder asked to end")
-    assert worm.processes.processes["recorder"].exit_code is None
-    assert worm.interrupt("recorder") == 0
+    assert nodes["recorder"].exit_code is None
+    assert interrupt(nodes["recorder"]) == 0
 
-    assert worm.interrupt("driver") == 0
-    assert torques(worm.directory / "robot") == [0, 0, 0]
-    assert worm.interrupt("virtual_robot") == 0
+    assert interrupt(nodes["driver"]) == 0
+    assert torques(worm.log_folder / "directory") == [0, 0, 0]
+    assert interrupt(nodes["virtual_robot"]) == 0
 
 
 def test_the_tracker_has_what_its_policy_allows_and_no_more(processes: Processes, probe: Probe):

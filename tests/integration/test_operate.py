@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 from commander import Commander
-from harness import LATCHED, TIMEOUT_S, Processes
-from rclpy.qos import QoSProfile
+from harness import TIMEOUT_S, Processes
 from std_msgs.msg import Bool
 
 from worm_msgs.action import RunGait
@@ -19,8 +18,6 @@ from worm_msgs.msg import Gait, GaitState
 from worm_optimizer.commands import operate
 from worm_optimizer.operation.processes import Process
 
-#: of a latched topic, whose queue also keeps a state that is shorter than a pause of this process
-EVERY_STATE = QoSProfile(depth=1000, reliability=LATCHED.reliability, durability=LATCHED.durability)
 LONG = ("--stroke", "0.03", "--frequency", "0.4", "--cycles", "200")
 
 
@@ -39,7 +36,7 @@ class Lab:
 
     def __init__(self, robot, processes: Processes, commander: Commander) -> None:
         self.robot, self.processes, self.probe = robot, processes, commander.probe
-        self.states = self.probe.collect(GaitState, "gait_state", EVERY_STATE)
+        self.commander = commander
         robot.start_driver()
         commander.activate()
 
@@ -49,12 +46,7 @@ class Lab:
         return process.last_line()
 
     def wait_for(self, state: int, text: str = "") -> GaitState:
-        def there() -> GaitState | None:
-            last = self.states[-1] if self.states else None
-            return last if last and last.state == state and text in last.message else None
-
-        found: GaitState = self.probe.wait_for(there, f"state {state} {text}", 2 * TIMEOUT_S)
-        return found
+        return self.commander.wait_for_state(state, f"state {state} {text}", text)
 
     def run(self, *arguments: str) -> Process:
         """Start a run and wait until it moves."""

@@ -4,6 +4,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import TIMEOUT_S, Probe, Processes
@@ -71,8 +72,10 @@ def test_the_live_twin_yields_what_the_offline_replay_yields_and_ctrl_c_is_clean
             expected = finite(stamps, columns[name][:came].tolist())
             assert live == pytest.approx(expected, rel=1e-9, abs=1e-12), name
     published = by_stamp(states)
-    assert {message.source for message in lengths} == {BodyLength.ESTIMATED}  # before the gait
-    assert lengths[-1].length == pytest.approx(PAPER.initial_length, abs=1e-3)
+    assert {message.source for message in lengths} == {BodyLength.ESTIMATED}
+    estimated = by_stamp(lengths)
+    measured = np.interp([*estimated], offline.states["stamp_ns"], offline.states["length"])
+    assert [message.length for message in estimated.values()] == pytest.approx(measured, abs=1e-3)
     for stamp, message in by_stamp(odometry).items():
         assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
         assert message.pose.pose.position.x == published[stamp].rear_position

@@ -4,7 +4,7 @@
 from random import Random
 
 import pytest
-from bench_rig import Bench
+from driver_rig import Bench
 
 from worm_driver.commands.setup_servo import find_only_servo, main, set_up
 from worm_driver.driver_errors import ConfigurationError, CorruptReplyError

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import pytest
 import serial
-from bench_rig import Bench
-from driver_rig import Clock, DirectSMBus, idle, installed_robot, moving, settings
+from driver_rig import Bench, Clock, DirectSMBus, idle, installed_robot, moving, settings
 
 from worm_driver.control.bench_check import Row, SensorCheck, ServoCheck, State, open_port
 from worm_driver.power import i2c, ina219

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 from recorded_run import GAIT, REST_S, simulated_run
-from recorded_session import joined_session
+from virtual_session import joined_session
 
 from worm_model.analysis.run_table import run_table
 from worm_model.errors import InputError

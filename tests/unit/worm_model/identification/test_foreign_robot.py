@@ -6,8 +6,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from foreign_lab import write_foreign_lab
 from foreign_robot import Camera, ForeignRobot, crawl, some_robot
+from lab_files import write_foreign_lab
 from recorded_run import exact_run
 
 from worm_model.analysis.run_metrics import measure_margin

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from gaits_for_tests import COARSE
 from recorded_run import GAIT, simulated_run, write_bag
-from recorded_session import joined_session
 from unrendered import leave_runs_unrendered
+from virtual_session import joined_session
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.stored_file import AttachedFile
