@@ -154,7 +154,7 @@ def test_bags_of_the_driver_are_read_from_rest_to_the_end_of_the_gait(name, dire
     path = ROOT / "bags" / name
     recording = read_recordings([path])[0]
     assert recording.date.startswith("20")
-    assert [len(checksum) for checksum in recording.sources.values()] == [64]
+    assert any(len(checksum) == 64 for checksum in recording.sources.values())
     assert recording.gait.direction == direction
     assert recording.at_rest.sum() >= 10
     for time in (recording.camera_time, recording.power_time, recording.command_time):
