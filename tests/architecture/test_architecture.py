@@ -81,6 +81,8 @@ CONFINED = {
     **{name: [] for name in ("PIL", "dask", "torch")},
 }
 
+MOST_NAMES, LONG_IMPORTS = 6, 25
+
 # Folders of its own package that a folder may import in addition to itself. Folders that are missing here may import
 # any. Modules in no folder (parameters, gait, run, errors) may be imported by all folders.
 SEAMS = {
@@ -208,6 +210,20 @@ def test_no_folders_import_each_other():
     assert (
         len(list(TopologicalSorter(folders).static_order())) > 30
     )  # or a CycleError names the cycle
+
+
+def test_a_module_of_which_many_names_are_needed_is_imported_itself():
+    """The number of exceptions may only fall. Messages are imported by name."""
+    long = [
+        f"{name_of(path)}:{node.lineno}"
+        for path in SOURCES
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ImportFrom)
+        and len(node.names) > MOST_NAMES
+        and (node.module or "").startswith("worm_")
+        and not (node.module or "").endswith(".msg")
+    ]
+    assert len(long) <= LONG_IMPORTS, long
 
 
 def test_libraries_are_imported_only_where_they_belong():
