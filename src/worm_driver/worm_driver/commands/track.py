@@ -10,6 +10,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
 
 from worm_driver.commands.driver_command import new_file, run_command, say
@@ -39,10 +40,12 @@ def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositio
 def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
     """Write the table and return the samples. Write row by row, so that a cancelled command leaves complete rows."""
     kept = []
+    iterator = iter(samples)
+    first = list(islice(iterator, 1))  # before the file exists, because images may be missing
     with path.open("x", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(COLUMNS)
-        for s in samples:
+        for s in chain(first, iterator):
             numbers = [f"{value:.6f}" for value in (s.time, s.rear, s.front, s.length)]
             writer.writerow([*numbers, s.reason])
             kept.append(s)
