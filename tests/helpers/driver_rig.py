@@ -157,13 +157,14 @@ class Bench:
     """
 
     def __init__(self, receive: Callable[[bytes, float, int], list[Transmission]]):
-        def answer(data: bytes, now: float) -> list[tuple[float, bytes]]:
-            return [(t.time, t.data) for t in receive(data, now, self.port.baudrate)]
-
+        self._receive = receive
         self.clock = Clock()
-        self.wire = Wire(self.clock, answer)
+        self.wire = Wire(self.clock, self._answer)
         self.port = SimulatedPort(self.wire, self.clock)
         self.bus = ServoBus(self.port)
+
+    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        return [(t.time, t.data) for t in self._receive(data, now, self.port.baudrate)]
 
     @property
     def written(self) -> list[Packet]:

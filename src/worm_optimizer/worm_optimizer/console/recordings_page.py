@@ -44,7 +44,6 @@ class RecordingsPage:
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
         search.bind_value(self._table, "filter")
-        search.on_value_change(self._select_none)  # what is hidden must not count
         self._table.style("min-height: 40vh")
         self._table.props(
             ':rows-per-page-options="[20]" no-data-label="no run is listed" no-results-label="none"'
@@ -63,10 +62,6 @@ class RecordingsPage:
         self._note.set_text("" if rows else "nothing has been recorded yet")
         cells = [{"key": f"{row['name']} {row['start']}", **cells_of(row)} for row in rows]
         self._table.update_rows(cells)
-
-    def _select_none(self) -> None:
-        self._table.selected.clear()
-        self._table.update()
 
     def selected(self) -> list[str]:
         """Return the names of the selected bags."""

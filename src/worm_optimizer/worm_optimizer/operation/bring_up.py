@@ -259,6 +259,8 @@ def recorded(
         except (InputError, RejectedStartError):  # nothing moved
             removal.callback(shutil.rmtree, bag)  # when the recorder has ended
             group.end(name)
+            group.forget(name)
             raise
         node.rest(AFTERWARDS_S)
         group.end(name)
+        group.forget(name)
