@@ -145,21 +145,18 @@ def _check_bench_tests(options: argparse.Namespace) -> None:
     from worm_model.identification import bellows, fin
     from worm_model.identification.inputs import read_bench_test
 
-    fits: dict[str, Callable[[Any, Any], object]] = {
-        "--bellows": bellows.fit_bellows,
-        "--fin": fin.fit_fin,
-    }
-    for option, path, columns in (
-        ("--bellows", options.bellows, bellows.COLUMNS),
-        ("--fin", options.fin, fin.COLUMNS),
-    ):
+    tests: tuple[tuple[str, Path | None, tuple[str, str], Callable[[Any, Any], object]], ...] = (
+        ("--bellows", options.bellows, bellows.COLUMNS, bellows.fit_bellows),
+        ("--fin", options.fin, fin.COLUMNS, fin.fit_fin),
+    )
+    for option, path, columns, fit in tests:
         if path is None:
             continue
         if not options.identify:
             raise InputError(f"{option} has no effect without --identify: give both")
         try:
             test = read_bench_test(path, columns)
-            fits[option](test.x, test.y)
+            fit(test.x, test.y)
         except IdentificationError as error:
             raise InputError(f"{option} {path}: {error}") from None
 
