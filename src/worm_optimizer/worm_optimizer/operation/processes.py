@@ -108,12 +108,14 @@ class Process:
         return lines[-1] if lines else "(no output)"
 
     def wait_for_line(self, pattern: str, timeout_s: float) -> re.Match[str]:
-        """Wait until a line of the output matches a regular expression, and return the match."""
+        """Wait until a whole line of the output matches a regular expression; return the match."""
         expression = re.compile(pattern, re.MULTILINE)
-        wait_for(
-            lambda: bool(expression.search(self.output())) or self.exit_code is not None, timeout_s
-        )
-        match = expression.search(self.output())
+
+        def found() -> re.Match[str] | None:
+            return expression.search(self.output().rpartition("\n")[0])
+
+        wait_for(lambda: bool(found()) or self.exit_code is not None, timeout_s)
+        match = found()
         if match is None:
             raise ProcessError(f"{self.report()}; no line of its output matches {pattern!r}")
         return match

@@ -102,7 +102,7 @@ def test_a_killed_scheduler_is_reported_and_its_blocks_remain(tmp_path, cluster)
     with process(
         "dask_scheduler", "--port", "0", "--scheduler-file", str(file), cwd=tmp_path, path=path
     ) as scheduler:
-        wait_for(file.exists)
+        wait_for(lambda: file.exists() and file.read_text().endswith("}"))
         address = json.loads(file.read_text())["address"]
 
         def kill_after_the_first(done: float) -> None:
