@@ -34,7 +34,13 @@ from worm_driver.virtual_robot.virtual_bus import Transmission
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader, Packet
+from worm_driver.virtual_robot.wire.packet import (
+    Instruction,
+    InstructionReader,
+    Packet,
+    frame,
+    stuff,
+)
 from worm_msgs.gait import Gait
 
 # `Rig.copy`: the copy gets its own threads and events, as the rig starts none. It shares the read-only tables.
@@ -513,6 +519,11 @@ def _moving() -> Rig:
     rig.run(0.6)
     assert rig.cable_speed > 0.05
     return rig
+
+
+def instruction_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """Return the bytes of an instruction packet."""
+    return frame(servo_id, stuff(bytes([instruction]) + parameters))
 
 
 def idle() -> Rig:

@@ -20,7 +20,15 @@ from worm_model.run import (
     TrackerSamples,
 )
 from worm_model.twin.data.records import Event, residual_message
-from worm_model.twin.data.samples import GAIT_VALUES, SAMPLE, VALUES, DriverState, SampleKind
+from worm_model.twin.data.samples import (
+    GAIT_VALUES,
+    NO_SAMPLES,
+    SAMPLE,
+    VALUES,
+    DriverState,
+    SampleKind,
+)
+from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.twin import Twin, TwinState
 
 ONSET = 1_700_000_000_000_000_000  # stamp of the onset of a test's first run, ns
@@ -125,6 +133,11 @@ def follow(
 def _record(row: np.void, message: str = "") -> SimpleNamespace:
     """Return a row with attributes; in its text NaN equals itself."""
     return SimpleNamespace(message=message, **dict(zip(row.dtype.names, row.item(), strict=True)))
+
+
+def rows_of_run(run: Run) -> np.ndarray:
+    """Return all samples of a run for the twin, in the order of `RecordedSamples.rows`."""
+    return np.concatenate([NO_SAMPLES, *RecordedSamples(lambda: (run,)).rows()])
 
 
 def run_of_rows(rows: np.ndarray, memories: Sequence[tuple[int, str]] = ()) -> Run:

@@ -16,7 +16,7 @@ from recorded_run import EPOCH, make_run
 from worm_driver.virtual_robot.offline_run import Rehearsal, run_offline
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_model.gait import Gait
-from worm_model.identification.data.observed_run import recording_of
+from worm_model.identification.data.observed_run import Recording, recordings_of
 from worm_model.identification.inputs import BenchTest, Inputs
 from worm_model.identification.reference_values import READING, ReferenceValues
 from worm_model.parameters import PAPER, Parameters
@@ -39,6 +39,11 @@ FORCE_NOISE = 0.12, 0.35  # N, of the fin and of the bellows test
 # s before a gait; the cable is tensioned in their first half
 REST, REST_UNDER_PRETENSION = 2.0, 3.0
 TICK = 2.0 * np.pi / 4096  # rad
+
+
+def recording_of(run: Run, name: str) -> Recording:
+    """Return the recording of a run's first gait."""
+    return recordings_of(run, name)[0]
 
 
 @dataclass(frozen=True)

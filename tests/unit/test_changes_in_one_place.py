@@ -50,7 +50,7 @@ from worm_model.parameters import PAPER, ParameterFile, format_parameter_file, p
 from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 from worm_model.simulation.simulator import evaluate_gait
 from worm_model.twin.data.samples import SampleKind, driver_state_of
-from worm_model.twin.recorded_samples import rows_of_run
+from worm_model.twin.recorded_samples import RecordedSamples
 from worm_msgs.gait import gait_of
 from worm_optimizer.report.expectation import expect
 from worm_optimizer.robustness.uncertainty import phase_known
@@ -71,7 +71,7 @@ with open_bag(Path("new")) as bag:
     run = read_run(bag)
 with open_bag(Path("forward")) as bag:
     old = read_run(bag)
-rows = rows_of_run(run)
+rows = np.concatenate([*RecordedSamples(lambda: (run,)).rows()])
 options = _parser().parse_args(["--stroke", "0.07", "--frequency", "0.2", "--ripple-share", "0.4"])
 
 Path("gaits.csv").write_text("stroke_m,frequency_Hz,rear_pull,ripple_share\\n0.07,0.2,1.0,0.4\\n")

@@ -141,7 +141,7 @@ class ReplayReporter:
         """Add samples (rows of SAMPLE) and the output of the twin for these samples."""
         self.events += output.events
         self._closed += output.cycles
-        self._states.add(output.states)
+        self._states.add(output.motion)
         self._residuals.add(output.residuals)
         for columns, kind in (
             (self._positions, SampleKind.POSITION),

@@ -119,12 +119,11 @@ def threshold_margin(
     until = min(max(half.end, switch) + _AFTER_S, motion.time[-1])
     time = np.arange(switch - 4.0 * lag, until, _STEP_S)
     travel = half.travel(motion.length_at(time)) - release.travel(time - switch)
-    rate = np.gradient(travel, time)
-    behind = np.empty(time.size)  # of the module, relative to the equilibrium of the fins' forces
-    behind[0] = -(share - 0.5) * rate[0] * lag
+    force = -(share - 0.5) * np.gradient(travel, time) * lag
     decay = np.exp(-_STEP_S / lag)
-    for k in range(1, time.size):
-        behind[k] = decay * behind[k - 1] - (share - 0.5) * rate[k] * lag * (1.0 - decay)
+    response = (1.0 - decay) * decay ** np.arange(time.size)
+    # the module's position relative to the equilibrium of the fins' forces, to which it lags
+    behind = force[0] + np.convolve(force - force[0], response)[: time.size]
     deflection = share * travel + behind
     now = float(np.interp(switch, time, deflection))
     return float(deflection[time >= switch].max(initial=now)) - now - _SHORTFALL_M

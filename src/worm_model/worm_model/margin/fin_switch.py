@@ -19,6 +19,7 @@ from worm_model.arrays import Array
 from worm_model.margin.half_cycles import HalfCycle, Motion
 from worm_model.parameters import Parameters
 from worm_model.simulation.closed_form import deflected_share, switching_force
+from worm_model.simulation.kernel.switch_template import log_evidence
 
 _COARSE_S, _FINE_S = 0.01, 0.003
 _MOST_TIMES = 800  # of the coarse search, for slow gaits
@@ -56,16 +57,23 @@ class Evidence:
     """Log evidence of a switch of the sliding fin, as a function of its time."""
 
     def __init__(self, motion: Motion, half: HalfCycle, parameters: Parameters) -> None:
-        self._time = motion.time
-        self._holding = motion.holding(half.fin)
-        self._travel = half.travel(motion.length)
-        self._turn = half.end, float(half.travel(np.asarray(half.end_length)))
+        travel = half.travel(motion.length)
+        turned = travel - float(half.travel(np.asarray(half.end_length)))
+        turned[motion.time <= half.end] = 0.0
+        self._samples = np.stack([motion.time, travel, turned, motion.holding(half.fin)])
         # Effect of the sliding fin on the holding module: slope (1), jump (m) and time constant of the jump (s)
-        self._slope = 1.0 - deflected_share(parameters)
-        self._jump = switching_force(parameters) / parameters.engaged_stiffness
+        slope = 1.0 - deflected_share(parameters)
+        jump = switching_force(parameters) / parameters.engaged_stiffness
         self._time_constant = 2.0 * parameters.viscous_friction / parameters.engaged_stiffness
         # The smoothed length adds a part of its own noise to that of the mean of both modules.
         self._noise = float(np.hypot(0.8 * motion.noise, _TEMPLATE_ERROR_M))
+        # means and standard deviations of the priors with a switch, and without
+        self._models = np.array(
+            [
+                [[0.0, slope, 0.0, slope, jump], [_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * jump]],
+                [[0.0, slope, 0.0, 0.0, 0.0], [_OFFSET, _SLOPE, _TURNED, _BENT, 0.0]],
+            ]
+        )
 
     def at(self, time: Array, low: Array, high: Array) -> Array:
         """Return the log evidence of a switch at each time (n,), from the samples between two times (n,) each.
@@ -73,57 +81,22 @@ class Evidence:
         Without a switch, the slope may change at this time, as when the holding fin engages. The result is 0 with fewer
         than five samples.
         """
-        terms, values, count = self._terms(time, low, high)
-        expected = np.array([0.0, self._slope, 0.0, 0.0])
-        spread = np.array([_OFFSET, _SLOPE, _TURNED, _BENT])
-        without = self._log_evidence(terms[:, :-1], values, expected, spread)
-        evidence = self._switched(terms, values) - without
-        return np.where(count < _FEWEST_SAMPLES, 0.0, evidence)
+        windows = np.searchsorted(self._samples[0], [low, high])
+        evidence = self._log_evidence(time, windows, self._models)
+        few = windows[1] - windows[0] < _FEWEST_SAMPLES
+        return np.where(few, 0.0, evidence[:, 0] - evidence[:, 1])
 
     def of_time(self, time: Array, low: float, high: float) -> Array:
         """Return the log likelihood of the times (n,) of a switch that is known to be between two times."""
-        terms, values, _ = self._terms(time, np.full(time.size, low), np.full(time.size, high))
-        return self._switched(terms, values)
+        window = np.searchsorted(self._samples[0], [low, high])
+        windows = np.repeat(window[:, np.newaxis], time.size, axis=1)
+        return self._log_evidence(time, windows, self._models[:1])[:, 0]
 
-    def _switched(self, terms: Array, values: Array) -> Array:
-        expected = np.array([0.0, self._slope, 0.0, self._slope, self._jump])
-        spread = np.array([_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * self._jump])
-        return self._log_evidence(terms, values, expected, spread)
-
-    def _terms(
-        self, time: Array, low: Array, high: Array
-    ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return the terms (n, 5, m) of the template, the jump last, the holding module's position (n, m) in m, counts.
-
-        There are as many samples m as the longest window has. The terms of missing samples are 0.
-        """
-        first, last = np.searchsorted(self._time, low), np.searchsorted(self._time, high)
-        rows = first[:, np.newaxis] + np.arange(max(int((last - first).max(initial=0)), 1))
-        used = rows < last[:, np.newaxis]
-        rows = np.minimum(rows, self._time.size - 1)
-        at, travel, holding = self._time[rows], self._travel[rows], self._holding[rows]
-        moment = time[:, np.newaxis]
-        now = np.interp(moment, self._time, self._travel)
-        turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
-        bent = np.where(at > moment, travel - now, 0.0)
-        jump = step_response(at - moment, self._time_constant)
-        terms = np.stack([np.ones(at.shape), now - travel, turned, bent, jump], axis=1)
-        count = used.sum(axis=1)
-        mean = (holding * used).sum(axis=1) / np.maximum(count, 1)
-        return terms * used[:, np.newaxis], used * (holding - mean[:, np.newaxis]), count
-
-    def _log_evidence(self, terms: Array, values: Array, expected: Array, spread: Array) -> Array:
-        """Return the log evidence (n,) of linear models with normal priors, without terms common to all models.
-
-        ``terms`` (n, p, m) are the terms at the samples, ``values`` (n, m) the samples.
-        """
-        rest = (values - np.einsum("p,npm->nm", expected, terms)) / self._noise
-        scaled = terms * (spread / self._noise)[:, np.newaxis]
-        precision = np.eye(expected.size) + scaled @ scaled.transpose(0, 2, 1)
-        moment = scaled @ rest[:, :, np.newaxis]
-        explained = (moment * np.linalg.solve(precision, moment)).sum(axis=(1, 2))
-        determinant = np.linalg.slogdet(precision)[1]
-        return np.asarray(0.5 * (explained - (rest**2).sum(axis=1) - determinant))
+    def _log_evidence(self, time: Array, windows: NDArray[np.int64], models: Array) -> Array:
+        now = np.interp(time, *self._samples[:2])
+        return log_evidence(
+            self._samples, time, now, windows, self._time_constant, self._noise, models
+        )
 
 
 def find_switches(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,14 +65,24 @@ class Motion:
         half = 0.5 * self.length
         return 0.5 * (self.rear + self.front) + (half if fin is Fin.REAR else -half)
 
+    @cached_property
+    def step(self) -> float:
+        """Usual time between two samples, s."""
+        return _step(self.time)
+
+    @cached_property
+    def turning(self) -> Array:
+        """Length from parabolas through a turning point, m, at the times of the samples, shape (n,)."""
+        half, _ = self.window(TURNING_S)
+        return smooth(self.time, self.front - self.rear, self.time, half, half).value
+
     def window(self, half_window: float) -> tuple[float, float]:
         """Return a half window (s) with enough samples, and the standard deviation (m) of the length in its middle.
 
         It is that of a parabola through the samples of the window.
         """
-        step = _step(self.time)
-        half = max(half_window, _FEWEST_STEPS * step)
-        return half, 1.5 * math.sqrt(step / half) * self.noise
+        half = max(half_window, _FEWEST_STEPS * self.step)
+        return half, 1.5 * math.sqrt(self.step / half) * self.noise
 
     def length_at(self, time: float | Array) -> Array:
         """Return the smoothed length at times in s, m."""
@@ -173,13 +184,11 @@ def _turning_point(
     inside = (motion.time >= low) & (motion.time <= min(high, motion.end + 0.6 * period))
     if np.count_nonzero(inside) < 4 or motion.time[-1] < low + 0.5 * (high - low):
         return None
-    half, _ = motion.window(TURNING_S)
-    at = motion.time[inside]
-    curve = smooth(motion.time, motion.front - motion.rear, at, half, half)
-    if not np.isfinite(curve.value).any():
+    at, curve = motion.time[inside], motion.turning[inside]
+    if not np.isfinite(curve).any():
         return None
-    best = int(np.nanargmin(sign * curve.value))
-    return float(at[best]), float(curve.value[best])
+    best = int(np.nanargmin(sign * curve))
+    return float(at[best]), float(curve[best])
 
 
 def _step(time: Array) -> float:

@@ -124,23 +124,21 @@ class MarginModel:
         alike = (1.0 - _OF_CYCLE) * np.maximum(1.0 - apart / _BODY_M, 0.0)
         alike += _OF_CYCLE * np.eye(rest.size)
         log_weight = -0.5 * (np.log(_SCATTERS / _SCATTER_M) / _LOG_SCATTER_SD) ** 2
-        means, roots = [], []
-        for k, scatter in enumerate(_SCATTERS):
-            noise = scatter**2 * alike + np.diag(self.sd**2)
-            weighted = np.linalg.solve(noise, np.column_stack([scaled, rest]))
-            precision = np.eye(self.spread.size) + scaled.T @ weighted[:, :-1]
-            moment = scaled.T @ weighted[:, -1]
-            solved = np.linalg.solve(precision, moment)
-            log_weight[k] -= 0.5 * (
-                np.linalg.slogdet(noise)[1]
-                + np.linalg.slogdet(precision)[1]
-                + rest @ weighted[:, -1]
-                - moment @ solved
-            )
-            means.append(self.expected + self.spread * solved)
-            roots.append(np.linalg.inv(np.linalg.cholesky(precision)) * self.spread)
+        noise = _SCATTERS[:, np.newaxis, np.newaxis] ** 2 * alike + np.diag(self.sd**2)
+        weighted = np.linalg.solve(noise, np.column_stack([scaled, rest]))
+        precision = np.eye(self.spread.size) + scaled.T @ weighted[:, :, :-1]
+        moment = scaled.T @ weighted[:, :, -1:]
+        solved = np.linalg.solve(precision, moment)
+        log_weight -= 0.5 * (
+            np.linalg.slogdet(noise)[1]
+            + np.linalg.slogdet(precision)[1]
+            + weighted[:, :, -1] @ rest
+            - (moment * solved).sum(axis=(1, 2))
+        )
+        means = self.expected + self.spread * solved[:, :, 0]
+        roots = np.linalg.inv(np.linalg.cholesky(precision)) * self.spread
         weight = np.exp(log_weight - log_weight.max())
-        return weight / weight.sum(), np.array(means), np.array(roots)
+        return weight / weight.sum(), means, roots
 
 
 def belief_of(margin: Array, sd: Array, place: Array) -> MarginBelief:

@@ -9,6 +9,7 @@ fewer grooves than the run is to gain has a negative margin.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -201,9 +202,12 @@ def measure_cycles(
     fins = {
         fin: [
             _fin_margin(motion, *row, release, lacking[fin], parameters)
-            for row in zip(found[fin].halves, found[fin].switches, found[fin].missing, strict=True)
+            for row in zip(
+                *(found[fin].halves, found[fin].switches, remaining, found[fin].missing),
+                strict=True,
+            )
         ]
-        for fin, (release, _) in lengths.items()
+        for fin, (release, remaining) in lengths.items()
     }
     rows = zip(moved, places, fins[Fin.REAR], fins[Fin.FRONT], strict=True)
     measured = tuple(CycleMargin(cycle, *row) for cycle, row in enumerate(rows, 1))
@@ -212,35 +216,42 @@ def measure_cycles(
 
 def _lengths(
     motion: Motion, found: FinSwitches, gait: Gait, parameters: Parameters
-) -> tuple[Release, float]:
-    """Return the release of a fin and the median of its remaining travel (m), 0 if it never switches."""
-    pairs = list(zip(found.halves, found.switches, strict=True))
+) -> tuple[Release, list[float]]:
+    """Return the release of a fin and the travel (m) after its last switch in each half cycle, NaN without a switch."""
+    pairs = zip(found.halves, found.switches, strict=True)
     seen = [(half, time) for half, switches in pairs for time in switches.times]
     release = release_of(motion, seen, gait, parameters)
-    remaining = [
-        _remaining(motion, half, switches.times[-1], release)
-        for half, switches in pairs
-        if switches.times
-    ]
-    return release, float(np.median(remaining)) if remaining else 0.0
+    last = [switches.times[-1] if switches.times else math.nan for switches in found.switches]
+    return release, _remaining(motion, found.halves, last, release)
 
 
-def _lacking(lengths: dict[Fin, tuple[Release, float]], grooves: int) -> dict[Fin, int]:
+def _lacking(lengths: dict[Fin, tuple[Release, list[float]]], grooves: int) -> dict[Fin, int]:
     """Return how many grooves each fin lacks in every cycle of a run that gains ``grooves`` too few.
 
     Each groove is gained by the fin that needs the smaller additional travel for it, and the other one follows. Grooves
     that the run gains beyond the wanted ones (negative) are a surplus of both fins.
     """
-    nearer = max(lengths, key=lambda fin: lengths[fin][1])
+    known = {fin: [one for one in of if math.isfinite(one)] for fin, (_, of) in lengths.items()}
+    nearer = max(Fin, key=lambda fin: float(np.median(known[fin] or 0.0)))
     return {fin: grooves if fin is nearer else min(grooves, 0) for fin in Fin}
 
 
-def _remaining(motion: Motion, half: HalfCycle, time: float, release: Release) -> float:
-    """Return the travel (m) between a switch at a time (s) and the turning point."""
-    travel = half.travel(motion.front - motion.rear) - release.travel(motion.time - time)
+def _remaining(
+    motion: Motion, halves: Sequence[HalfCycle], last: Sequence[float], release: Release
+) -> list[float]:
+    """Return the travel (m) between the last switch of each half cycle, at a time (s) or NaN, and the turning point."""
     window, _ = motion.window(_AT_SWITCH_S)
-    now = float(smooth(motion.time, travel, [time], window, window).value[0])
-    return float(half.travel(np.asarray(half.end_length))) - now
+    length = motion.front - motion.rear
+    since, travel = [np.empty(0)], [np.empty(0)]
+    places = 4.0 * window * np.arange(len(halves))  # of the switches on a common axis, far apart
+    for half, time, place in zip(halves, last, places, strict=True):
+        rows = np.abs(motion.time - time) < 1.5 * window
+        after = motion.time[rows] - time
+        since.append(place + after)
+        travel.append(half.travel(length[rows]) - release.travel(after))
+    now = smooth(np.concatenate(since), np.concatenate(travel), places, window, window).value
+    ends = [float(half.travel(np.asarray(half.end_length))) for half in halves]
+    return (np.array(ends) - now).tolist()
 
 
 def _largest_gap(motion: Motion, start: float, end: float) -> float:
@@ -255,16 +266,16 @@ def _fin_margin(
     motion: Motion,
     half: HalfCycle,
     found: Switches,
+    length: float,
     missing: int,
     release: Release,
     lacking: int,
     parameters: Parameters,
 ) -> FinMargin:
-    if not found.times:
+    if not math.isfinite(length):
         return NOT_MEASURED
     time, p = found.times[-1], parameters
-    length = _remaining(motion, half, time, release)
-    if not math.isfinite(length) or _largest_gap(motion, time, half.end) > _MOST_HIDDEN_S:
+    if _largest_gap(motion, time, half.end) > _MOST_HIDDEN_S:
         return NOT_MEASURED  # a marker was hidden at the switch or after it
     near = motion.length_at(np.array([time - 0.05, time + 0.05]))
     by_time = found.last_sd * abs(near[1] - near[0]) / 0.1

@@ -11,16 +11,15 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, rest_of, value_at
 from worm_model.simulation.kernel.linear import Coefficients
 from worm_model.simulation.kernel.waveform import answer_to_part, borders_of
 from worm_model.simulation.rows import gait_rows
-
-Array = NDArray[np.float64]
 
 
 def effective_command(command: ArrayLike, slack: float) -> Array:

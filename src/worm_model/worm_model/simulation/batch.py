@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import AVERAGED, CYCLES, check_body
 from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulation.kernel import whole_run as run
@@ -20,8 +21,6 @@ from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.rows import GAIT_ROW, Rows, parameter_rows
 from worm_model.simulation.simulator import check_cycles, cost_of_transport
 from worm_msgs.gait import GAIT_DEFAULTS, Gait, GaitError, Profile
-
-Array = NDArray[np.float64]
 
 # Largest amount, in pitches, by which the transient may reduce the advance of a cycle below a whole number of grooves
 _TRANSIENT = 0.05

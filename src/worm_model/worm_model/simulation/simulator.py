@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from worm_model.arrays import Array
 from worm_model.errors import InputError
 from worm_model.gait import AVERAGED, CYCLES, FORWARD, Gait, check_body
 from worm_model.parameters import PAPER, Parameters
@@ -25,8 +26,6 @@ from worm_model.simulation.kernel.mode import Constants, Motion, region_of
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.rows import gait_rows, parameter_rows
 from worm_msgs.robot_parameters import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 
 def _records(times: Array, events: int = 0) -> march.Records:
@@ -265,7 +264,7 @@ def _motion_of(state: LocomotionState) -> Motion:
 
 
 def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
-    """Return the trajectory of a gait from rest; for the initial state see `kernel.start.start_of`.
+    """Return the trajectory of a gait from rest; for the initial state see `kernel.whole_run.start_of`.
 
     Raises:
         GaitError: Stroke plus pretension is not below the body length.

@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from worm_model.arrays import Array
 
 HALF_WINDOW = 0.15  # s; a window then contains nine or ten samples of a 30 Hz camera
 FEWEST_SAMPLES = 4  # in a window; a parabola through three samples would follow the noise

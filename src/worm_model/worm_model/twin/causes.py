@@ -331,16 +331,17 @@ def model_error(cycle: CycleData, signs: Signatures) -> tuple[float, ...]:
     some = np.isfinite(variance)
     root = 1.0 / np.sqrt(variance[some])
     shifts = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1).reshape(-1, CHANNELS, BINS)
-    usual = [change[some] for change in (*signs.healthy.values(), *shifts)]
+    usual = root * np.array([change[some] for change in (*signs.healthy.values(), *shifts)])
     tracked = some[:POWER].any()
     changes = BROAD * np.concatenate(list(signs.lasting.values()))
     single = [*changes, *(length.change for length in signs.lengths)] if tracked else []
-    seen, unexplained = root * cycle.values[some], []
-    for cause in (np.zeros_like(offsets), *single):
-        design = root * np.array([*usual, cause[some]])
-        inner = np.eye(len(design)) + design @ design.T
-        unexplained.append(seen - np.linalg.solve(inner, design @ seen) @ design)
-    least = min(unexplained, key=lambda rest: float(rest @ rest))
+    causes = root * np.array([cause[some] for cause in (np.zeros_like(offsets), *single)])
+    seen = root * cycle.values[some]
+    inner = np.eye(len(usual)) + usual @ usual.T
+    own = causes - np.linalg.solve(inner, usual @ causes.T).T @ usual
+    size = own @ seen / (1.0 + (own * causes).sum(axis=1))
+    unexplained = seen - np.linalg.solve(inner, usual @ seen) @ usual - size[:, None] * own
+    least = unexplained[(unexplained**2).sum(axis=1).argmin()]
     left = np.zeros_like(offsets)
     left[some] = (least / root) ** 2 - cycle.variance[some]
     ratio = left.sum(axis=1) / np.maximum(some.sum(axis=1), 1) / np.mean(offsets**2, axis=1)

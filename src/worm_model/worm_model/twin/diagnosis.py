@@ -19,6 +19,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +110,15 @@ class CycleSeen:
     joined: bool = False
     predicted: int = 0
 
+    @cached_property
+    def edges(self) -> tuple[Edge, Edge]:
+        """Edges near the commanded stroke, and near the stroke that the body performed."""
+        count = self.sums[:, LENGTH_COUNT]
+        residuals = np.full_like(count, np.nan)
+        np.divide(self.sums[:, LENGTH_SUM], count, out=residuals, where=count > 0)
+        commanded = edge_of(self.gait, self.parameters)
+        return commanded, edge_of_body(self.gait, self.parameters, residuals)
+
 
 @dataclass(frozen=True)
 class History:
@@ -192,7 +202,7 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
     data = without_step(data)
     step = data.step
     fewer, more = (
-        max(edge.chance(cycle.predicted, cycle.predicted + one) for edge in edges_of(cycle))
+        max(edge.chance(cycle.predicted, cycle.predicted + one) for edge in cycle.edges)
         for one in (-1, 1)
     )
     error = causes.model_error(data, signs)
@@ -231,15 +241,6 @@ def _first(data: CycleData) -> tuple[CycleData, list[Finding]]:
     )
     unknown = replace(data, variance=np.full_like(data.variance, np.inf))
     return unknown, [Finding(data.number, text)]
-
-
-def edges_of(cycle: CycleSeen) -> tuple[Edge, Edge]:
-    """Return the edges near the commanded stroke, and near the stroke that the body performed."""
-    count = cycle.sums[:, LENGTH_COUNT]
-    residuals = np.full_like(count, np.nan)
-    np.divide(cycle.sums[:, LENGTH_SUM], count, out=residuals, where=count > 0)
-    commanded = edge_of(cycle.gait, cycle.parameters)
-    return commanded, edge_of_body(cycle.gait, cycle.parameters, residuals)
 
 
 def explains(history: History, cycle: CycleSeen) -> bool:

@@ -21,6 +21,7 @@ from worm_model.run import SAME_ONSET_NS, GaitStates, Run
 from worm_model.twin.data.records import Event
 from worm_model.twin.data.samples import NO_SAMPLES, SampleRows
 from worm_model.twin.recorded_samples import RecordedSamples
+from worm_model.twin.run_margins import NO_MARGINS
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.stored_memory import add_past, memory_to_resume
 from worm_model.twin.twin import CLOCK_SET, FOREVER_NS, ClosedCycle, Output, Twin, TwinState
@@ -36,7 +37,7 @@ class Replay:
     """Result of the twin for a recording. Each series contains one array (n,) per field, by name.
 
     Attributes:
-        states: fields of STATE_ROW (the message TwinState).
+        states: fields of STATE_ROW (the message TwinState) except the margins, see `Output.states`.
         residuals: fields of RESIDUAL_ROW: the fields of TwinResiduals without its message; in addition, size and level
             of each channel and the number of the warning.
         lengths: fields of LENGTH_ROW, the estimated lengths (BodyLength).
@@ -128,8 +129,9 @@ def replay_run(run: Run, parameters: Parameters) -> Replay:
     """Return the result of the twin for a recording."""
     replay = OfflineReplay(lambda: (run,), parameters)
     outputs = replay.feed(_Outputs).outputs
+    states = _columns([output.motion for output in outputs])
     return Replay(
-        states=_columns([output.states for output in outputs]),
+        states={name: column for name, column in states.items() if name not in NO_MARGINS},
         residuals=_columns([output.residuals for output in outputs]),
         lengths=_columns([output.lengths for output in outputs]),
         notices=tuple(event for output in outputs for event in output.events),

@@ -21,11 +21,6 @@ _FOREVER = int(np.iinfo(np.int64).max)
 _Place = tuple[int, int]
 
 
-def rows_of_run(run: Run) -> SampleRows:
-    """Return all samples of a run for the twin, in the order of `RecordedSamples.rows`."""
-    return np.concatenate([NO_SAMPLES, *RecordedSamples(lambda: (run,)).rows()])
-
-
 class RecordedSamples:
     """Samples of a recording, ordered by stamp, so that none is late.
 

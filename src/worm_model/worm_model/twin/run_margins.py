@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -37,19 +38,18 @@ class RunPositions:
     """Newest tracker samples, bounded in number."""
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[int, float, float]] = deque(maxlen=STORED)
+        self._stamp, self._places = np.zeros(0, np.int64), np.zeros((2, 0))
 
     def add(self, samples: SampleRows) -> None:
         """Add the positions among the samples (n,) of SAMPLE."""
         rows = samples[samples["kind"] == SampleKind.POSITION]
-        self._samples.extend(
-            zip(*(rows[name].tolist() for name in ("stamp", "a", "b")), strict=True)
-        )
+        self._stamp = np.append(self._stamp, rows["stamp"])[-STORED:]
+        self._places = np.append(self._places, [rows["a"], rows["b"]], axis=1)[:, -STORED:]
 
     def margins(
         self, gait: Gait, parameters: Parameters, onset_ns: int, cycles: int
-    ) -> dict[str, float]:
-        """Return the margins at the end of a cycle of a run, from at most `MOST_CYCLES` cycles, as in `NO_MARGINS`.
+    ) -> MarginsAtCycle:
+        """Return the margins at the end of a cycle of a run, from at most `MOST_CYCLES` cycles.
 
         Later samples do not count, so that a replay has the same result as the live twin.
 
@@ -61,13 +61,29 @@ class RunPositions:
         """
         left_out = max(cycles - MOST_CYCLES, 0)
         start, end = (onset_ns + round(k * gait.period * 1e9) for k in (left_out, cycles))
-        used = [sample for sample in self._samples if start <= sample[0] <= end]
-        if not used:
-            return NO_MARGINS
-        stamp, rear, front = zip(*used, strict=True)
-        tracker = TrackerSamples(np.array(stamp), np.array(rear), np.array(front))
-        run = Run(tracker=tracker)
-        return _values(measure_cycles(run, gait, start, cycles - left_out, parameters))
+        used = (start <= self._stamp) & (self._stamp <= end)
+        run = Run(tracker=TrackerSamples(self._stamp[used], *self._places[:, used]))
+        return MarginsAtCycle(run, gait, parameters, start, cycles - left_out)
+
+
+@dataclass(frozen=True, eq=False)
+class MarginsAtCycle:
+    """Margins at the end of a cycle of a run, from tracker samples that begin at a start in ns.
+
+    They are measured when they are read, because this takes longer than all else that the twin does in a cycle.
+    """
+
+    run: Run
+    gait: Gait
+    parameters: Parameters
+    start_ns: int
+    cycles: int
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Margins by field of the message TwinState, as in `NO_MARGINS`."""
+        found = measure_cycles(self.run, self.gait, self.start_ns, self.cycles, self.parameters)
+        return _values(found)
 
 
 def _values(run: RunMargin) -> dict[str, float]:

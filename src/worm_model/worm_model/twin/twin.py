@@ -11,7 +11,7 @@ calls, pass the state to another `Twin`. L0 of the present run then stays as it 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,7 @@ from worm_model.twin.data.records import Event, Severity
 from worm_model.twin.data.samples import DriverState, SampleRows
 from worm_model.twin.diagnosis import CycleSeen, Finding, History
 from worm_model.twin.edges import Edge, edge_of
-from worm_model.twin.run_margins import NO_MARGINS, RunPositions
+from worm_model.twin.run_margins import NO_MARGINS, MarginsAtCycle, RunPositions
 from worm_model.twin.run_start import begin_run, is_new_run
 from worm_model.twin.start_estimate import Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
@@ -68,7 +68,7 @@ class TwinState:
         clock_set: True if the clock was set during a run and no run with a reported gait has begun since.
         starts: estimated starts, by onset in ns.
         positions: tracker samples from which the margins are measured.
-        margins: measured margins of the run, by field of the message TwinState.
+        margins: measured margins of the run; None before the first complete cycle.
     """
 
     memory: Memory
@@ -79,7 +79,7 @@ class TwinState:
     clock_set: bool = False
     starts: dict[int, Start] = field(default_factory=dict)
     positions: RunPositions = field(default_factory=RunPositions)
-    margins: dict[str, float] = field(default_factory=lambda: NO_MARGINS)
+    margins: MarginsAtCycle | None = None
 
     @property
     def record(self) -> Any:
@@ -140,20 +140,31 @@ class Output:
     """Result of `Twin.advance`, in the order of processing.
 
     Attributes:
-        states: rows of STATE_ROW.
+        motion: rows of STATE_ROW, in which the margins are not valid.
         residuals: rows of RESIDUAL_ROW.
         lengths: rows of LENGTH_ROW, the estimated lengths.
         events: events of the twin.
         warnings: texts of the warnings to which residuals refer by number.
         cycles: cycles that have ended.
+        margins: margins of the states from a row on, each with this row.
     """
 
-    states: np.ndarray
+    motion: np.ndarray
     residuals: np.ndarray
     lengths: np.ndarray
     events: tuple[Event, ...]
     warnings: dict[int, str]
     cycles: tuple[ClosedCycle, ...] = ()
+    margins: tuple[tuple[int, MarginsAtCycle | None], ...] = ()
+
+    @cached_property
+    def states(self) -> np.ndarray:
+        """Rows of STATE_ROW with the margins, which are measured now."""
+        for first, margins in self.margins:
+            values = NO_MARGINS if margins is None else margins.values
+            for name, value in values.items():
+                self.motion[name][first:] = value
+        return self.motion
 
 
 @dataclass(frozen=True)
@@ -180,11 +191,10 @@ class Twin:
         record_changes.use_settings(m, self.settings.delay_s, self.settings[1:])
         waiting = int(m["filled"]) - int(m["place"])
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
-        call = _Call(self, state, room)
+        call = _Call(self, state, room, [(0, state.margins)])
         lag_ns = int(m["delay"]) + LOOK_AHEAD_NS
         call.take(samples, lag_ns)
         call.process(-FOREVER_NS if to_the_end else lag_ns)
-        call.complete_states()
         states, residuals, lengths, _ = room.counts.tolist()
         return Output(
             room.states[:states],
@@ -193,6 +203,7 @@ class Twin:
             tuple(call.events),
             dict(state.warnings),
             tuple(call.cycles),
+            tuple(call.margins),
         )
 
 
@@ -203,9 +214,9 @@ class _Call:
     twin: Twin
     state: TwinState
     room: OutputRows
+    margins: list[tuple[int, MarginsAtCycle | None]]
     events: list[Event] = field(default_factory=list)
     cycles: list[ClosedCycle] = field(default_factory=list)
-    completed: int = 0  # number of states that contain the margins
 
     def model(self) -> tuple[Constants, Actuator, np.void]:
         """Return the parameters of the current run in the form that the core needs."""
@@ -224,12 +235,10 @@ class _Call:
             self._report_events()
             self._cross(boundary)
 
-    def complete_states(self) -> None:
-        """Add the present margins to the states since the last call."""
-        count = int(self.room.counts[0])
-        for name, value in self.state.margins.items():
-            self.room.states[name][self.completed : count] = value
-        self.completed = count
+    def _set_margins(self, margins: MarginsAtCycle | None) -> None:
+        """Set the margins of the states that follow."""
+        self.state.margins = margins
+        self.margins.append((int(self.room.counts[0]), margins))
 
     def _take_batch(self, samples: SampleRows, lag_ns: int) -> None:
         self.state.positions.add(samples)
@@ -301,8 +310,7 @@ class _Call:
         start, text = begin_run(state.memory, driver, twin.parameters, state.starts)
         m = state.record
         state.history = History()
-        self.complete_states()
-        state.margins = NO_MARGINS
+        self._set_margins(None)
         late = start > driver.onset_ns and not m["origin_known"]
         state.joined_cycle = int(m["cycle"]) if late else 0
         self.events.append(Event(driver.stamp_ns, Severity.INFO, text, run=driver.run))
@@ -359,13 +367,13 @@ class _Call:
         )
         not_judged = self._unusable
         if not not_judged:
-            for edge in diagnosis.edges_of(cycle):
+            for edge in cycle.edges:
                 self._report_edge(stamp, edge)
             findings, not_judged = self._judge(cycle)
             for finding in findings:
                 self._follow(finding, stamp, gait)
-            self.complete_states()
-            state.margins = state.positions.margins(gait, parameters, int(m["start_ns"]), number)
+            onset = int(m["start_ns"])
+            self._set_margins(state.positions.margins(gait, parameters, onset, number))
         self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
         record_changes.close_cycle(state.memory, gait)
 

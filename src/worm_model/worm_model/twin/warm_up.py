@@ -17,6 +17,7 @@ from worm_model.simulation.kernel import cache_directory
 from worm_model.simulation.kernel.grooves import EVEN
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS
 from worm_model.simulation.kernel.sampled_energy import sampled_energy
+from worm_model.simulation.kernel.switch_template import TERMS, log_evidence
 from worm_model.simulation.kernel.whole_run import run_from_rest
 from worm_model.simulation.rows import parameter_rows
 from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
@@ -28,6 +29,7 @@ def main() -> None:
     """Call the functions of kernel and core once, which compiles them into the cache."""
     _call_core()
     _call_kernel()
+    _call_template()
 
 
 def _call_core() -> None:
@@ -51,6 +53,11 @@ def _call_kernel() -> None:
     two = np.arange(2.0)
     sampled_energy(two, two, two, 1.0, False, 1.0, 1.0, two)
     run_from_rest(two, still, row, 1.0, 0.0, 0.0, EVEN, EVEN, samples)
+
+
+def _call_template() -> None:
+    moment, windows = np.zeros(1), np.zeros((2, 1), np.int64)
+    log_evidence(np.zeros((4, 1)), moment, moment, windows, 1.0, 1.0, np.zeros((1, 2, TERMS)))
 
 
 def _samples(gait: Gait) -> SampleRows:

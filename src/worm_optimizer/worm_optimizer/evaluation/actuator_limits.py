@@ -8,8 +8,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from worm_model.arrays import Array
 from worm_model.errors import InputError
 from worm_model.parameters import Parameters
 from worm_optimizer.evaluation.command_shape import (
@@ -20,8 +21,6 @@ from worm_optimizer.evaluation.command_shape import (
     pull_rate,
     sample_phases,
 )
-
-Array = NDArray[np.float64]
 
 _CYCLE = 2  # index of the sampled cycle, from 0. From the third cycle on, usually only the positions differ.
 _SAMPLES = 400  # number of samples of force and power in that cycle

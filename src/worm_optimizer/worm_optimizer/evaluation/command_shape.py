@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from worm_model.arrays import Array
 from worm_msgs.gait import GAIT_DEFAULTS, SHAPE, Gait, Profile, peak_rate
 
-Array = NDArray[np.float64]
 Shapes = NDArray[np.void]  # structured array with the fields of SHAPE_ROW
 
 SHAPE_ROW = np.dtype([(name, np.float64) for name in SHAPE])

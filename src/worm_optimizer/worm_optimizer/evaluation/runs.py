@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from worm_model.arrays import Array
+
 Index = NDArray[np.int64]
 
 # Returns the labels (values of the step function), shape (n,). Arguments: strokes in m, and indices of their columns,

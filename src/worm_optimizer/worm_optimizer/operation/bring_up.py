@@ -71,16 +71,14 @@ def work_folder(program: str) -> Iterator[Path]:
     """
     folder = Path(tempfile.mkdtemp(prefix=f"worm_{program}_"))
     (folder / "logs").mkdir()
-    failed = False
-    try:
-        yield folder
-    except FAILURES:
-        failed = True
-        print(f"{program}: the logs of all nodes are in {folder / 'logs'}", file=sys.stderr)  # noqa: T201
-        raise
-    finally:
-        if not failed:
-            shutil.rmtree(folder, ignore_errors=True)
+    with ExitStack() as removal:
+        removal.callback(shutil.rmtree, folder, ignore_errors=True)
+        try:
+            yield folder
+        except FAILURES:
+            removal.pop_all()
+            print(f"{program}: the logs of all nodes are in {folder / 'logs'}", file=sys.stderr)  # noqa: T201
+            raise
 
 
 @dataclass(frozen=True)
@@ -259,8 +257,6 @@ def recorded(
         except (InputError, RejectedStartError):  # nothing moved
             removal.callback(shutil.rmtree, bag)  # when the recorder has ended
             group.end(name)
-            group.forget(name)
             raise
         node.rest(AFTERWARDS_S)
         group.end(name)
-        group.forget(name)

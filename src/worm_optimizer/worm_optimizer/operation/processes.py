@@ -245,7 +245,7 @@ class ProcessGroup(contextlib.AbstractContextManager["ProcessGroup"]):
                 raise ProcessError(process.report())
 
     def end(self, name: str) -> None:
-        """Interrupt a process and wait for its end.
+        """Interrupt a process, wait for its end, and remove it from the group.
 
         Raises `ProcessError` if it does not end in time, or if a process of the group has ended with an error.
         """
@@ -253,6 +253,7 @@ class ProcessGroup(contextlib.AbstractContextManager["ProcessGroup"]):
         process.interrupt()
         process.wait(process.grace_s)
         self.check()
+        self.forget(name)
 
     def stop(self) -> None:
         """Interrupt the processes in the reverse order of their start and wait for each. Then kill what still runs.

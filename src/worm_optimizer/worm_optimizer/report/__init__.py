@@ -5,6 +5,6 @@
 - `recorded_gait` computes the metrics of one gait, `expectation` predicts it with intervals, and `events` lists its
   events.
 - `agreement` compares measured and expected values.
-- `optimisation` and `identified_parameters` prepare the content of the other sections.
+- `optimisation` prepares front and price of robustness.
 - `run_figures` and `front_plots` draw the figures, and `report_page` fills the template.
 """

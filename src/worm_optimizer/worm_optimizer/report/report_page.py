@@ -15,11 +15,18 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import save_png_and_pdf
-from worm_model.parameters import load_parameter_file
+from worm_model.parameters import (
+    FITTED_WITH_FORM,
+    KEYS,
+    PAPER,
+    SYMBOLS,
+    UNITS,
+    ParameterFile,
+    load_parameter_file,
+)
 from worm_msgs.conditions import LEVEL
 from worm_optimizer.report import agreement
 from worm_optimizer.report.front_plots import measured_front_figure, price_figure
-from worm_optimizer.report.identified_parameters import parameter_rows, parameters_figure
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.run_figures import RUN_FIGURES
@@ -109,7 +116,7 @@ def build_report(report: Report, folder: Path) -> Path:
         "front": _front_pictures(report, pictures),
         "warned": any(e.level == "warning" for gait in report.gaits for e in gait.events),
         "runs": [_run(gait, number, pictures) for number, gait in enumerate(report.gaits, 1)],
-        "identification": _identification(report.identification, pictures),
+        "identification": _identification(report.identification),
     }
     text = environment.get_template(_TEMPLATE).render(content)
     path = folder / PAGE
@@ -203,20 +210,28 @@ def _run(gait: RecordedGait, number: int, pictures: _Pictures) -> dict[str, Any]
     }
 
 
-def _identification(path: str, pictures: _Pictures) -> dict[str, Any] | None:
+def _identification(path: str) -> dict[str, Any] | None:
     if not path:
         return None
     content = load_parameter_file(path)
-    caption = "Identified parameters with their 95 % intervals, over the paper's values."
     return {
         "source": path,
         "one_sided_cable": content.parameters.one_sided_cable,
-        "rows": list(parameter_rows(content)),
+        "rows": list(_parameter_rows(content)),
         "provenance": dict(content.provenance),
-        "pictures": [pictures.save("parameters", parameters_figure(content), caption)]
-        if content.intervals
-        else [],
     }
+
+
+def _parameter_rows(content: ParameterFile) -> Iterator[tuple[str, ...]]:
+    """Yield key, symbol, value, interval, paper's value and unit of each parameter."""
+    values, paper = content.parameters.as_dict(), PAPER.as_dict()
+    # The paper's power model is another one than that of a cable that cannot push.
+    other = FITTED_WITH_FORM if content.parameters.one_sided_cable else ()
+    for key in KEYS:
+        low, high = content.intervals.get(key, (math.nan, math.nan))
+        interval = f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "not identified"
+        text = "–" if key in other else f"{paper[key]:.5g}"
+        yield key, SYMBOLS[key], f"{values[key]:.5g}", interval, text, UNITS[key]
 
 
 def _picture(png: bytes, caption: str) -> Picture:

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.errors import InputError
 from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_msgs.conditions import CONDITION_ROWS
@@ -26,8 +26,6 @@ from worm_msgs.settings_file import Converted, OneOf, key, read_settings
 from worm_optimizer.code_version import code_identity
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings
-
-Array = NDArray[np.float64]
 
 # Names of the dimensions that do not belong to a single quantity
 PARAMETER_FILE, SAMPLE = "parameter_file", "sample"

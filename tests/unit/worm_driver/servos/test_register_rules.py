@@ -11,12 +11,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from driver_rig import CABLE, Rig, rig_of_model
+from driver_rig import CABLE, Rig, instruction_packet, rig_of_model
 
 from worm_driver.driver_errors import DriverError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.virtual_robot.servo.control_table import MODELS, VirtualServoModel
-from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
+from worm_driver.virtual_robot.wire.packet import Instruction
 
 FIN = 11
 #: registers by which a servo is found

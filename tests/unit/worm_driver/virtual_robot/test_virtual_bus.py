@@ -2,6 +2,7 @@
 """The servo bus on a virtual clock: which servo responds, when, and with which bytes."""
 
 import pytest
+from driver_rig import instruction_packet
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -12,7 +13,6 @@ from worm_driver.virtual_robot.wire.packet import (
     ALERT,
     BROADCAST_ID,
     Instruction,
-    instruction_packet,
     status_packet,
 )
 

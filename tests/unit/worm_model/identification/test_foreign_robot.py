@@ -9,11 +9,11 @@ import pytest
 from foreign_robot import Camera, ForeignRobot, crawl, some_robot
 from lab_files import write_foreign_lab
 from recorded_run import exact_run
+from virtual_campaign import recording_of
 
 from worm_model.analysis.run_metrics import measure_margin
 from worm_model.commands import identify
 from worm_model.gait import Gait
-from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.data.strides import check_pitch, uneven_pitch
 from worm_model.identification.fit_verdict import fit_contractions
 from worm_model.identification.fits.measured_length import measured_length

@@ -13,14 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import EPOCH, simulated_run, write_bag
-from virtual_campaign import run_of
+from virtual_campaign import recording_of, run_of
 
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands import health as health_command
 from worm_model.gait import Gait
 from worm_model.identification import drift
-from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.drift import State
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
 from worm_model.identification.fits.estimate import Estimate

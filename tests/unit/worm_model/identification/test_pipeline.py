@@ -7,11 +7,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from virtual_campaign import SHORT, bench_tests, virtual_campaign
+from virtual_campaign import SHORT, bench_tests, recording_of, virtual_campaign
 
 from worm_model import parameters
 from worm_model.analysis.simulated_run import simulated_run
-from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.fit_verdict import Verdict, judge_fit
 from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.estimate import Estimate

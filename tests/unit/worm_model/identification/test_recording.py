@@ -9,12 +9,13 @@ import pytest
 from recorded_run import Instruments, exact_run, joined, later
 from scipy.stats import t as student
 from twin_samples import run_of_rows
+from virtual_campaign import recording_of
 from virtual_session import Session
 
 from worm_model.errors import IdentificationError
 from worm_model.gait import Gait
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.observed_run import recording_of, recordings_of
+from worm_model.identification.data.observed_run import recordings_of
 from worm_model.identification.fits.locomotion import traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import longest_gap, remarks, starts_apart, usable

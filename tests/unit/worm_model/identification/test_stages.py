@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recorded_run import Instruments, exact_run
+from virtual_campaign import recording_of
 
 from worm_model.gait import Gait
 from worm_model.identification import locomotion_stage
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.energy_stage import identify_energy
 from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.actuation_fit import fit_actuation

@@ -10,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples
 from recorded_run import SERIES, joined, simulated_run
+from twin_samples import rows_of_run
 
 from worm_model.analysis.replay_metrics import ReplayReporter, report_replay
 from worm_model.parameters import PAPER
 from worm_model.run import LengthSamples, Run
 from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_model.twin.offline_replay import OfflineReplay, replay_run, unusable_runs
-from worm_model.twin.recorded_samples import RecordedSamples, rows_of_run
+from worm_model.twin.recorded_samples import RecordedSamples
 
 RUN = simulated_run(2)
 

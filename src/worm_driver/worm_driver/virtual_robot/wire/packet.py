@@ -86,11 +86,6 @@ def frame(servo_id: int, body: bytes) -> bytes:
     return packet + crc16(packet).to_bytes(2, "little")
 
 
-def instruction_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Return the bytes of an instruction packet."""
-    return frame(servo_id, stuff(bytes([instruction]) + parameters))
-
-
 def status_packet(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
     """Return the bytes of a status packet. ``error`` is the complete error byte, with the alert bit."""
     return frame(servo_id, stuff(bytes([STATUS, error]) + parameters))

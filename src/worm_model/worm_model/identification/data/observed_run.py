@@ -128,11 +128,6 @@ def recordings_of(
     return (replace(kept[0], remarks=tuple(remarks)), *kept[1:])
 
 
-def recording_of(run: Run, name: str) -> Recording:
-    """Return the recording of a run's first gait; raises the errors of `recordings_of`."""
-    return recordings_of(run, name)[0]
-
-
 def _recording(run: Run, row: int, name: str) -> Recording:
     """Return the recording of the gait that begins with a ``row`` of the gait states."""
     states = run.gait_state

@@ -2,6 +2,7 @@
 """Packets of the virtual servos compared with the e-manual's vectors and with their own inverse."""
 
 import pytest
+from driver_rig import instruction_packet
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,7 +12,6 @@ from worm_driver.virtual_robot.wire.packet import (
     InstructionReader,
     Packet,
     crc16,
-    instruction_packet,
     status_packet,
     stuff,
     unstuff,
