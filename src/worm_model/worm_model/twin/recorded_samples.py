@@ -88,16 +88,16 @@ class RecordedSamples:
         waiting, jumps = NO_SAMPLES, np.zeros(0, np.int64)
         places = self._smallest_places()
         for part, (number, stamp) in zip(self._parts(), places, strict=True):
+            found = [(waiting, jumps)]
             for kind, rows in topic_rows(part).items():
                 index = np.arange(counts[kind], counts[kind] + len(rows))
                 counts[kind] += len(rows)
-                waiting = np.concatenate([waiting, rows])
-                jumps = np.append(jumps, np.searchsorted(self._jumps[kind], index, side="right"))
+                found.append((rows, np.searchsorted(self._jumps[kind], index, side="right")))
+            waiting, jumps = (np.concatenate(each) for each in zip(*found, strict=True))
             order = np.lexsort((waiting["kind"], waiting["stamp"], jumps))
-            waiting, jumps = waiting[order], jumps[order]
-            ready = (jumps < number) | ((jumps == number) & (waiting["stamp"] < stamp))
-            yield waiting[ready]
-            waiting, jumps = waiting[~ready], jumps[~ready]
+            ready = ((jumps < number) | ((jumps == number) & (waiting["stamp"] < stamp)))[order]
+            yield waiting[order[ready]]
+            waiting, jumps = waiting[order[~ready]], jumps[order[~ready]]
 
     def _smallest_places(self) -> list[_Place]:
         """Return for each part the smallest place of all samples in later parts."""
