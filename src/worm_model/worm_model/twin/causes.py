@@ -155,30 +155,17 @@ def weigh_causes(
     weights[
         [c.cycle < since and c.code not in (INITIAL_LENGTH, CAMERA_MOVED) for c in candidates]
     ] = 0.0
-    return [
-        *(
-            c._replace(code=_code(c, s), weight=w, size=s, deviation=d)
-            for c, w, s, d in zip(
-                candidates,
-                weights.tolist(),
-                weighed.size.tolist(),
-                weighed.deviation.tolist(),
-                strict=True,
-            )
-        ),
-        *(
-            Candidate(
-                UNEXPLAINED,
-                "",
-                n,
-                math.log(DEVIATION),
-                cycles=1,
-                weight=w,
-            )
-            for n, w in zip(data.numbers, np.exp(unexplained).tolist(), strict=True)
-            if n >= since
-        ),
+    values = (weights.tolist(), weighed.size.tolist(), weighed.deviation.tolist())
+    known_causes = [
+        c._replace(code=_code(c, size), weight=weight, size=size, deviation=deviation)
+        for c, weight, size, deviation in zip(candidates, *values, strict=True)
     ]
+    others = [
+        Candidate(UNEXPLAINED, "", number, math.log(DEVIATION), cycles=1, weight=weight)
+        for number, weight in zip(data.numbers, np.exp(unexplained).tolist(), strict=True)
+        if number >= since
+    ]
+    return known_causes + others
 
 
 def _limited(logs: Array) -> Array:
