@@ -125,7 +125,7 @@ class MarginModel:
         alike += _OF_CYCLE * np.eye(rest.size)
         log_weight = -0.5 * (np.log(_SCATTERS / _SCATTER_M) / _LOG_SCATTER_SD) ** 2
         noise = _SCATTERS[:, np.newaxis, np.newaxis] ** 2 * alike + np.diag(self.sd**2)
-        weighted = np.linalg.solve(noise, np.column_stack([scaled, rest]))
+        weighted = np.linalg.solve(noise, np.column_stack([scaled, rest])[np.newaxis])
         precision = np.eye(self.spread.size) + scaled.T @ weighted[:, :, :-1]
         moment = scaled.T @ weighted[:, :, -1:]
         solved = np.linalg.solve(precision, moment)

@@ -229,7 +229,8 @@ def _lacking(lengths: dict[Fin, tuple[Release, list[float]]], grooves: int) -> d
     """Return how many grooves each fin lacks in every cycle of a run that gains ``grooves`` too few.
 
     Each groove is gained by the fin that needs the smaller additional travel for it, and the other one follows. Grooves
-    that the run gains beyond the wanted ones (negative) are a surplus of both fins.
+    that the run gains beyond the wanted ones (negative) are a surplus of both fins. Half cycles that were not measured
+    do not count.
     """
     known = {fin: [one for one in of if math.isfinite(one)] for fin, (_, of) in lengths.items()}
     nearer = max(Fin, key=lambda fin: float(np.median(known[fin] or 0.0)))

@@ -25,8 +25,8 @@ AT_REST_NS = NANOSECONDS  # interval between stored memories
 NEAR_NS = 3 * NANOSECONDS
 # fields that are not stored: samples and settings of this process, and the number of a warning without its text
 _NOT_STORED = frozenset(
-    ("present", "old_in_a_row", "old_topics", "ahead", "filled", "place", "counts", "warning")
-    + ("warned_until", "delay", "usual_size")
+    ("present", "old_in_a_row", "ahead", "filled", "place", "counts", "warning", "warned_until")
+    + ("delay", "usual_size")
 )
 _STORED = tuple(name for name in MEMORY.names or () if name not in _NOT_STORED)
 

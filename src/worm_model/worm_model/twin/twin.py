@@ -247,7 +247,7 @@ class _Call:
             jump, first = sample_buffer.insert_all(self.state.memory, samples, first)
             if jump != sample_buffer.NO_JUMP:
                 self.process(-FOREVER_NS)  # process all samples from before the jump
-                self._restart("back" if jump == sample_buffer.JUMPED_BACK else "ahead")
+                self._restart()
         self.process(lag_ns)
 
     def _cross(self, boundary: int) -> None:
@@ -458,8 +458,8 @@ class _Call:
 
     # --- the clock ------------------------------------------------------------------------------
 
-    def _restart(self, way: str) -> None:
-        """Reset the twin after a jump of the clock, and insert the held samples, which revealed the jump.
+    def _restart(self) -> None:
+        """Reset the twin after a jump of the stamps, and insert the held samples, which revealed the jump.
 
         The counts, the texts of the warnings, the reasons why runs cannot be judged and the estimated starts are
         preserved.
@@ -467,7 +467,8 @@ class _Call:
         state = self.state
         held = state.memory.held[: int(state.record["ahead"])].copy()
         stamp = int(held[0]["stamp"])
-        text = f"the clock jumped {way}: the twin restarts"
+        off = (stamp - int(state.record["present"])) / NANOSECONDS
+        text = f"stamps jumped by {off:+.1f} s: the clock was set, or samples came late; the twin restarts"
         self.events.append(Event(stamp, Severity.WARNING, text, CLOCK_JUMP.code))
         fresh = self.twin.start()
         state.clock_set = state.is_running

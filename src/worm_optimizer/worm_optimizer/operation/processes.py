@@ -112,7 +112,8 @@ class Process:
         expression = re.compile(pattern, re.MULTILINE)
 
         def found() -> re.Match[str] | None:
-            return expression.search(self.output().rpartition("\n")[0])
+            ended, output = self.exit_code is not None, self.output()
+            return expression.search(output if ended else output.rpartition("\n")[0])
 
         wait_for(lambda: bool(found()) or self.exit_code is not None, timeout_s)
         match = found()

@@ -270,3 +270,17 @@ def test_the_predicted_margin_counts_from_the_requested_grooves():
         for threshold in thresholds
     )
     assert before > beyond + PAPER.pitch
+
+
+def test_a_cycle_with_hidden_markers_does_not_change_which_fin_lacks_the_groove():
+    run = recorded(some_robot(1))
+    time = (run.tracker.stamp - EPOCH) * 1e-9
+    seen = np.abs(time - 7.6) > 0.3  # hidden at the rear fin's switch
+    fields = (run.tracker.stamp, run.tracker.rear_position, run.tracker.front_position)
+    hidden = replace(run, tracker=TrackerSamples(*(field[seen] for field in fields)))
+    whole, part = (measure_margin(each, PAPER, 3) for each in (run, hidden))
+    assert len(part.margins(Fin.REAR)[0]) < len(whole.margins(Fin.REAR)[0])
+    for fin, lacks in ((Fin.REAR, False), (Fin.FRONT, True)):
+        margins = part.margins(fin)[0]
+        assert (margins < 0.0).all() == lacks
+        assert margins == pytest.approx(whole.margins(fin)[0][-len(margins) :], abs=1e-4)

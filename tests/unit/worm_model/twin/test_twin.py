@@ -193,7 +193,6 @@ WILD = {
         *([(kind, t), (kind, t + 0.01)] for kind in WILD for t in (5.0, 998.0)),
         [("tracker", 998.0 + k / 30.0) for k in range(50)],  # the camera's clock is wrong
         *([(kind, -1002.0)] * 2 for kind in WILD if kind != "gait"),  # a latched state has any age
-        [("power", -3.0 + 0.01 * k) for k in range(99)],  # one publisher stalled
     ],
 )
 def test_wild_stamps_that_do_not_confirm_each_other_leave_no_trace(ahead):

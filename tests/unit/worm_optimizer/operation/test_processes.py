@@ -68,6 +68,26 @@ def test_a_process_ends_on_the_interrupt_at_the_end_of_the_group(tmp_path):
     assert process.last_line() == "ending"
 
 
+def test_a_line_counts_when_it_is_whole_or_its_process_has_ended(tmp_path):
+    go_on = tmp_path / "go_on"
+    code = f"""
+        import pathlib, time
+        print("ready: he", end="", flush=True)
+        while not pathlib.Path({str(go_on)!r}).exists():
+            time.sleep(0.01)
+        print("re", flush=True)
+        print("end: 5", end="", flush=True)
+    """
+    with ProcessGroup(tmp_path) as group:
+        process = group.start("one", python(code))
+        assert wait_for(lambda: process.output() == "ready: he", 20.0)
+        with pytest.raises(ProcessError, match="no line"):
+            process.wait_for_line(r"^ready: (\w+)", 0.0)
+        go_on.touch()
+        assert process.wait_for_line(r"^ready: (\w+)", 20.0)[1] == "here"
+        assert process.wait_for_line(r"^end: (\d+)", 20.0)[1] == "5"
+
+
 def test_a_deaf_process_is_killed_with_its_children(tmp_path):
     group = ProcessGroup(tmp_path)
     process = group.start("deaf", python(DEAF), grace_s=0.1)

@@ -67,7 +67,6 @@ FIELDS = (
     Field("present", np.int64, "ns", "newest stamp of all samples except driver states"),
     Field("newest", np.int64, "ns", "newest stamp by kind of sample", KINDS),
     Field("old_in_a_row", np.int64, "1", "successive samples older than the newest by `jump_back`"),
-    Field("old_topics", np.int64, "1", "their topics: bit k for kind k of a sample"),
     Field("ahead", np.int64, "1", "number of samples in `held`"),
     Field("filled", np.int64, "1", "number of used rows of `rows`"),
     Field("place", np.int64, "1", "index in `rows` of the next row to process"),

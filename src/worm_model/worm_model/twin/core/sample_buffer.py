@@ -8,8 +8,7 @@
 - **Duplicate**, **not a number**. These samples are counted and excluded. A length, position or power that is not
   plausible counts as not a number.
 - **Jump back.** The clock has jumped back if three successive late samples are older by more than `JUMP_BACK_NS` than
-  the newest sample of all topics, including the driver states. If several topics are active, they must be of at least
-  two topics, unless 100 are late: a single publisher may have stalled.
+  the newest sample of all topics, including the driver states.
 - **Ahead.** A sample that is ahead of the newest by more than `HOLD_AHEAD_NS` is held. If its stamp differs by more
   than `HOLD_AHEAD_NS` from that of the sample held last, all samples held before are excluded. Three held samples
   confirm each other. If several topics are active, they must be of at least two topics, unless 100 samples are held.
@@ -187,16 +186,6 @@ def _drop_contradicted(memory: Memory, s: np.ndarray) -> None:
 
 
 @entry
-def _active_topics(memory: Memory) -> int:
-    """Return the number of topics with a sample at most `HOLD_AHEAD_NS` before the present."""
-    m, count = memory.record[0], 0
-    for kind in range(COMMAND_KIND, KINDS):
-        recent = m.newest[kind] >= m.present - HOLD_AHEAD_NS
-        count += 1 if recent and m.newest[kind] > 0 else 0
-    return count
-
-
-@entry
 def _hold(memory: Memory, s: np.ndarray) -> int:
     """Hold a sample that is ahead. If the held samples confirm each other, insert them or return JUMPED_AHEAD."""
     m, held, row = memory.record[0], memory.held, s[0]
@@ -206,8 +195,10 @@ def _hold(memory: Memory, s: np.ndarray) -> int:
     if row.kind == GAIT_KIND:
         return NO_JUMP
     count, first = m.ahead, row.stamp
-    kinds, confirming = 0, 0
+    alive, kinds, confirming = 0, 0, 0
     for kind in range(COMMAND_KIND, KINDS):
+        recent = m.newest[kind] >= m.present - HOLD_AHEAD_NS
+        alive += 1 if recent and m.newest[kind] > 0 else 0
         same = 0
         for k in range(count):
             if held[k].kind == kind:
@@ -215,7 +206,7 @@ def _hold(memory: Memory, s: np.ndarray) -> int:
                 first = min(first, held[k].stamp)
         confirming += same
         kinds += 1 if same > 0 else 0
-    if confirming < CONFIRMATIONS or (kinds < min(_active_topics(memory), 2) and count < HELD):
+    if confirming < CONFIRMATIONS or (kinds < min(alive, 2) and count < HELD):
         return NO_JUMP
     if first - m.present > JUMP_AHEAD_NS:
         return JUMPED_AHEAD
@@ -254,10 +245,8 @@ def insert(memory: Memory, s: np.ndarray) -> int:
     if _newest(memory) - row.stamp <= JUMP_BACK_NS:
         m.old_in_a_row = 0
         return NO_JUMP
-    m.old_topics = 1 << row.kind | (m.old_topics if m.old_in_a_row else 0)
     m.old_in_a_row += 1
-    single = m.old_topics == 1 << row.kind and _active_topics(memory) > 1
-    if m.old_in_a_row < (HELD if single else CONFIRMATIONS):
+    if m.old_in_a_row < CONFIRMATIONS:
         return NO_JUMP
     memory.held[0] = row
     m.ahead = 1
