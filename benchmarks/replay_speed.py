@@ -62,7 +62,7 @@ def _measure(cycles: int) -> list[Row]:
         name = f"a bag of {duration:.0f} s"
         calls = (
             ("read", read, "", REPEATS),
-            ("read, follow, report", report, "1000", REPEATS),
+            ("read, follow, report", report, "300", REPEATS),
             ("the same, to a new bag with the twin's topics", publish, "100", REPEATS),
         )
         return [
