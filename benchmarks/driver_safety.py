@@ -12,10 +12,17 @@ import statistics
 from collections.abc import Callable, Mapping
 
 from benchmarks.report import Row
-from tests.helpers.driver_rig import CABLE, Rig, settings, shaft_lengths, two_spools
+from tests.helpers.driver_rig import (
+    CABLE,
+    Rig,
+    instruction_packet,
+    settings,
+    shaft_lengths,
+    two_spools,
+)
 from worm_driver.driver_errors import ConfigurationError
 from worm_driver.gait.gait_player import Phase
-from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
+from worm_driver.virtual_robot.wire.packet import Instruction
 
 TITLE = "from a fault to a cable that stands still, and what bad data move"
 
@@ -289,7 +296,7 @@ def _stopped_apart(index: int) -> tuple[float, float]:
     rig.start(0.06, 0.3)
     slow = rig.virtual.servos[index]
     register = slow.model.registers["profile_velocity"]
-    slow.write(register.address, register.encode(10))
+    slow.write(register.address, register.pack(10))
     rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > 0.01)
     begin = rig.clock.now
     rig.speeds.clear()
@@ -410,7 +417,7 @@ def _left_over(name: str, value: int) -> Row:
     """Return a row with what the next driver does about a register."""
     rig = Rig()
     row = rig.cable.model.registers[name]
-    data = row.address.to_bytes(2, "little") + row.encode(value)
+    data = row.address.to_bytes(2, "little") + row.pack(value)
     rig.virtual.receive(instruction_packet(CABLE, Instruction.WRITE, data), rig.clock.now)
     try:
         rig = rig.restarted_driver()

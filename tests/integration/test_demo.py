@@ -9,7 +9,7 @@ import pytest
 from harness import TIMEOUT_S, Processes
 from rosbags.highlevel import AnyReader
 
-DEMO_TIMEOUT_S = 240.0  # the first front on a machine takes a minute, the gait half of one
+DEMO_TIMEOUT_S = 600.0  # the first front on a machine takes a minute, the gait half of one
 TOPICS = {
     "/worm/joint_states": "sensor_msgs/msg/JointState",
     **{
