@@ -36,7 +36,7 @@ LOOKED = 1.0
 #: late loop: share of the cycles that begin late, and their largest delay, s
 LATE_SHARE, LATEST = 0.3, 0.030
 
-Deed = Callable[[Rig], None]
+Deed = Callable[[Rig], object]
 
 
 def _injected(name: str, **arguments: object) -> Deed:

@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from action_msgs.msg import GoalStatus
@@ -110,7 +111,7 @@ class Watcher:
             if status.name == "driver: timing":
                 self.timing = {value.key: value.value for value in status.values}
 
-    def wait_for(self, condition: object) -> None:
+    def wait_for(self, condition: Any) -> None:
         """Spin until a future is done or a callable returns True."""
         end = time.monotonic() + TIMEOUT
         done = condition.done if hasattr(condition, "done") else condition

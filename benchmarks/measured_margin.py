@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,8 @@ def _true(robot: ForeignRobot, gait: Gait) -> Margins:
     for fin in Fin:
         margin = np.full(CYCLES, np.nan)
         for excess in np.arange(STEP, MOST, STEP):
-            changed = dataclasses.replace(robot, **{f"{fin.value}_excess": excess})
+            larger: dict[str, Any] = {f"{fin.value}_excess": excess}
+            changed = dataclasses.replace(robot, **larger)
             lost = crawl(changed, gait, CYCLES).grooves(CYCLES, gait.frequency) < promised
             margin[lost & np.isnan(margin)] = excess - 0.5 * STEP
         # The rear module shows a groove that the front fin lost in the following cycle.

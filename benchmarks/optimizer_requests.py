@@ -73,7 +73,7 @@ def run() -> list[Row]:
     """Measure in a separate ROS domain."""
     domain = 100 + os.getpid() % 100
     os.environ["ROS_DOMAIN_ID"] = str(domain)
-    with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
+    with tempfile.TemporaryDirectory() as name, (processes := Processes(Path(name))):
         probe = Probe(domain)
         try:
             return _measure(processes, probe)
