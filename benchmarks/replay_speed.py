@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.report import Row, wall_time
-from worm_model.analysis.replay_metrics import report_replay
+from worm_model.analysis.replay_metrics import ReplayReporter
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_parts, read_run
@@ -21,7 +21,7 @@ from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 from worm_model.simulation.simulator import simulate
 from worm_model.twin import warm_up
-from worm_model.twin.offline_replay import OfflineReplay, replay_run
+from worm_model.twin.offline_replay import OfflineReplay
 
 TITLE = "times real time of reading a bag and replaying it into the twin"
 
@@ -51,7 +51,9 @@ def _measure(cycles: int) -> list[Row]:
 
         def report() -> None:
             found = read()
-            report_replay(found, replay_run(found, PAPER), PAPER.pitch)
+            replay = OfflineReplay(lambda: (found,), PAPER)
+            reporter = replay.feed(lambda: ReplayReporter(replay.samples, PAPER.pitch))
+            reporter.report(replay.unusable)
 
         def publish() -> None:
             with open_bag(path) as bag:
