@@ -20,7 +20,6 @@ from scipy.special import log_ndtr
 
 from worm_model.arrays import Array
 from worm_model.gait import Gait
-from worm_model.margin.fin_switch import step_response
 from worm_model.margin.half_cycles import Fin, HalfCycle, Motion
 from worm_model.parameters import Parameters
 from worm_model.simulation.closed_form import deflected_share, switching_force
@@ -40,6 +39,11 @@ _KINK_ERROR = {Fin.REAR: 0.25, Fin.FRONT: 0.0}
 # s, time constants with which a released body comes to rest: (c_b/(k_b + k_cable)) with a taut cable, and longer with
 # a slack one, as in an extension
 _SETTLING_S = {Fin.REAR: 0.12, Fin.FRONT: 0.3}
+
+
+def step_response(time: Array, time_constant: float) -> Array:
+    """Return the response of a first-order system to a unit step at time 0, at times in s."""
+    return np.asarray(-np.expm1(-np.maximum(time, 0.0) / time_constant))
 
 
 @dataclass(frozen=True)

@@ -37,11 +37,6 @@ _SLOPE, _TURNED, _JUMP, _OFFSET = 0.15, 0.5, 0.25, 0.05
 _BENT = 0.4  # the same of a change of slope without a switch, as when the holding fin engages
 
 
-def step_response(time: Array, time_constant: float) -> Array:
-    """Return the response of a first-order system to a unit step at time 0, at times in s."""
-    return np.asarray(-np.expm1(-np.maximum(time, 0.0) / time_constant))
-
-
 @dataclass(frozen=True)
 class Switches:
     """Switches of a half cycle: their times in s, ascending, and the standard deviation of the last one, s."""
@@ -58,7 +53,7 @@ class Evidence:
 
     def __init__(self, motion: Motion, half: HalfCycle, parameters: Parameters) -> None:
         travel = half.travel(motion.length)
-        turned = travel - float(half.travel(np.asarray(half.end_length)))
+        turned = travel - half.whole_travel
         turned[motion.time <= half.end] = 0.0
         self._samples = np.stack([motion.time, travel, turned, motion.holding(half.fin)])
         # Effect of the sliding fin on the holding module: slope (1), jump (m) and time constant of the jump (s)

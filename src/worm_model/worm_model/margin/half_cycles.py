@@ -105,6 +105,11 @@ class HalfCycle:
         """Sign of the change of the body length: −1 in a contraction, 1 in an extension."""
         return -1 if self.fin is Fin.REAR else 1
 
+    @property
+    def whole_travel(self) -> float:
+        """Travel between the turning points, m."""
+        return self.sign * (self.end_length - self.start_length)
+
     def travel(self, length: Array) -> Array:
         """Return the distance (m) by which the body has contracted, or extended, at a length."""
         return self.sign * (length - self.start_length)

@@ -9,7 +9,6 @@ fewer grooves than the run is to gain has a negative margin.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -218,11 +217,10 @@ def _lengths(
     motion: Motion, found: FinSwitches, gait: Gait, parameters: Parameters
 ) -> tuple[Release, list[float]]:
     """Return the release of a fin and the travel (m) after its last switch in each half cycle, NaN without a switch."""
-    pairs = zip(found.halves, found.switches, strict=True)
+    pairs = list(zip(found.halves, found.switches, strict=True))
     seen = [(half, time) for half, switches in pairs for time in switches.times]
     release = release_of(motion, seen, gait, parameters)
-    last = [switches.times[-1] if switches.times else math.nan for switches in found.switches]
-    return release, _remaining(motion, found.halves, last, release)
+    return release, [_remaining(motion, *pair, release) for pair in pairs]
 
 
 def _lacking(lengths: dict[Fin, tuple[Release, list[float]]], grooves: int) -> dict[Fin, int]:
@@ -237,22 +235,15 @@ def _lacking(lengths: dict[Fin, tuple[Release, list[float]]], grooves: int) -> d
     return {fin: grooves if fin is nearer else min(grooves, 0) for fin in Fin}
 
 
-def _remaining(
-    motion: Motion, halves: Sequence[HalfCycle], last: Sequence[float], release: Release
-) -> list[float]:
-    """Return the travel (m) between the last switch of each half cycle, at a time (s) or NaN, and the turning point."""
+def _remaining(motion: Motion, half: HalfCycle, found: Switches, release: Release) -> float:
+    """Return the travel (m) between the last switch of a half cycle and the turning point, NaN without a switch."""
+    if not found.times:
+        return math.nan
+    time = found.times[-1]
+    travel = half.travel(motion.front - motion.rear) - release.travel(motion.time - time)
     window, _ = motion.window(_AT_SWITCH_S)
-    length = motion.front - motion.rear
-    since, travel = [np.empty(0)], [np.empty(0)]
-    places = 4.0 * window * np.arange(len(halves))  # of the switches on a common axis, far apart
-    for half, time, place in zip(halves, last, places, strict=True):
-        rows = np.abs(motion.time - time) < 1.5 * window
-        after = motion.time[rows] - time
-        since.append(place + after)
-        travel.append(half.travel(length[rows]) - release.travel(after))
-    now = smooth(np.concatenate(since), np.concatenate(travel), places, window, window).value
-    ends = [float(half.travel(np.asarray(half.end_length))) for half in halves]
-    return (np.array(ends) - now).tolist()
+    now = float(smooth(motion.time, travel, [time], window, window).value[0])
+    return half.whole_travel - now
 
 
 def _largest_gap(motion: Motion, start: float, end: float) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -160,10 +161,12 @@ class Output:
     @cached_property
     def states(self) -> np.ndarray:
         """Rows of STATE_ROW with the margins, which are measured now."""
-        for first, margins in self.margins:
-            values = NO_MARGINS if margins is None else margins.values
-            for name, value in values.items():
-                self.motion[name][first:] = value
+        borders = [*self.margins, (len(self.motion), None)]
+        for (first, margins), (end, _) in pairwise(borders):
+            if first < end:
+                values = NO_MARGINS if margins is None else margins.values
+                for name, value in values.items():
+                    self.motion[name][first:end] = value
         return self.motion
 
 

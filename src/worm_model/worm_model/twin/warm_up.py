@@ -29,7 +29,6 @@ def main() -> None:
     """Call the functions of kernel and core once, which compiles them into the cache."""
     _call_core()
     _call_kernel()
-    _call_template()
 
 
 def _call_core() -> None:
@@ -53,9 +52,6 @@ def _call_kernel() -> None:
     two = np.arange(2.0)
     sampled_energy(two, two, two, 1.0, False, 1.0, 1.0, two)
     run_from_rest(two, still, row, 1.0, 0.0, 0.0, EVEN, EVEN, samples)
-
-
-def _call_template() -> None:
     moment, windows = np.zeros(1), np.zeros((2, 1), np.int64)
     log_evidence(np.zeros((4, 1)), moment, moment, windows, 1.0, 1.0, np.zeros((1, 2, TERMS)))
 

@@ -52,7 +52,7 @@ def log_evidence(
             row[4] = -np.expm1(-since / time_constant)
             row[5] = position[j] - mean
             for a in range(TERMS + 1):
-                for b in range(a + 1):
+                for b in range(TERMS + 1):
                     products[a, b] += row[a] * row[b] / noise**2
         for m in range(len(models)):
             found[k, m] = _of_model(products, models[m, 0], models[m, 1])
@@ -61,16 +61,15 @@ def log_evidence(
 
 @compiled
 def _of_model(products: Array, expected: Array, spread: Array) -> float:
-    """Return the log evidence of a model from the lower triangle of the products of terms and position."""
-    inner = np.zeros(
-        (TERMS + 1, TERMS + 1)
-    )  # lower triangle of the products of scaled terms and of the rest
+    """Return the log evidence of a model from the products of terms and position."""
+    # products of the scaled terms and of the rest; only the lower triangle is used
+    inner = np.zeros((TERMS + 1, TERMS + 1))
     inner[TERMS, TERMS] = products[TERMS, TERMS]
     for a in range(TERMS):
         rest = products[TERMS, a]
         for b in range(TERMS):
-            rest -= products[max(a, b), min(a, b)] * expected[b]
-            inner[a, b] = spread[a] * spread[b] * products[max(a, b), min(a, b)]
+            rest -= products[a, b] * expected[b]
+            inner[a, b] = spread[a] * spread[b] * products[a, b]
         inner[a, a] += 1.0
         inner[TERMS, a] = spread[a] * rest
         inner[TERMS, TERMS] -= expected[a] * (products[TERMS, a] + rest)

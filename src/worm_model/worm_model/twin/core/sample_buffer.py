@@ -63,7 +63,7 @@ JUMP_AHEAD_NS = 60 * NANOSECONDS
 # Processed rows are stored for at least this time, unless there are too many.
 HISTORY_NS = round((REST_S + SMOOTHING_S + 1.0) * NANOSECONDS)
 
-NO_JUMP, JUMPED_BACK, JUMPED_AHEAD = 0, 1, 2  # jumps of the clock
+NO_JUMP, JUMPED = 0, 1  # of the clock
 
 
 @entry
@@ -187,7 +187,7 @@ def _drop_contradicted(memory: Memory, s: np.ndarray) -> None:
 
 @entry
 def _hold(memory: Memory, s: np.ndarray) -> int:
-    """Hold a sample that is ahead. If the held samples confirm each other, insert them or return JUMPED_AHEAD."""
+    """Hold a sample that is ahead. If the held samples confirm each other, insert them or return JUMPED."""
     m, held, row = memory.record[0], memory.held, s[0]
     _drop_contradicted(memory, s)
     held[m.ahead] = row
@@ -209,7 +209,7 @@ def _hold(memory: Memory, s: np.ndarray) -> int:
     if confirming < CONFIRMATIONS or (kinds < min(alive, 2) and count < HELD):
         return NO_JUMP
     if first - m.present > JUMP_AHEAD_NS:
-        return JUMPED_AHEAD
+        return JUMPED
     for k in range(count):
         _insert_row(memory, held[k : k + 1])
     m.counts[AHEAD] -= count
@@ -250,7 +250,7 @@ def insert(memory: Memory, s: np.ndarray) -> int:
         return NO_JUMP
     memory.held[0] = row
     m.ahead = 1
-    return JUMPED_BACK
+    return JUMPED
 
 
 @unlocked
