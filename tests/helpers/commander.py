@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What tests of the driver node use: its parameters, an operator's requests, and the torque of the servos."""
 
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -102,13 +104,17 @@ class Commander:
         return self.probe.wait_for(found, f"report of {name} with {expected!r}")[0]
 
 
+@contextmanager
+def servo_bus(directory: Path) -> Iterator[ServoBus]:
+    """Open the servo bus for the test itself while no driver has it; a robot on a busy machine answers late."""
+    with closing(ServoBus.open(str(directory / "servo_bus"), 1_000_000, 0.1, retries=99)) as bus:
+        yield bus
+
+
 def torques(directory: Path) -> list[int]:
-    """Return the torque of each servo, read by the test itself when the driver has closed the port."""
-    bus = ServoBus.open(str(directory / "servo_bus"), 1_000_000, latency=0.1)
-    try:
+    """Return the torque of each servo."""
+    with servo_bus(directory) as bus:
         return [bus.read(servo, COMMON["torque_enable"]) for servo in SERVOS]
-    finally:
-        bus.close()
 
 
 def stamp(message) -> float:

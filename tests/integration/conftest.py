@@ -3,15 +3,13 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
-from commander import SERVOS, Commander, parameters
+from commander import SERVOS, Commander, parameters, servo_bus
 from harness import TIMEOUT_S, Probe, Processes
 
 from worm_driver.servos.registers import COMMON
-from worm_driver.servos.servo_bus import ServoBus
 from worm_optimizer.operation.processes import Process
 
 
@@ -68,8 +66,7 @@ class Robot:
             self.processes.processes[name].kill()
             self.processes.forget(name)
         commander.inject(name="clear")
-        port = str(self.directory / "servo_bus")
-        with closing(ServoBus.open(port, 1_000_000, latency=0.1)) as bus:
+        with servo_bus(self.directory) as bus:
             for servo in SERVOS:
                 bus.write(servo, COMMON["bus_watchdog"], 0)
             bus.write(1, COMMON["torque_enable"], 1)

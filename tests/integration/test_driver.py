@@ -8,7 +8,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from commander import ABORTED, SERVOS, SUCCEEDED, parameters, run_into_a_gait, stamp, torques
+from commander import (
+    ABORTED,
+    SERVOS,
+    SUCCEEDED,
+    parameters,
+    run_into_a_gait,
+    servo_bus,
+    stamp,
+    torques,
+)
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import LATCHED, TIMEOUT_S, ros_arguments
 from lifecycle_msgs.msg import State, Transition
@@ -18,7 +27,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_driver.servos.registers import COMMON
-from worm_driver.servos.servo_bus import ServoBus
 from worm_msgs.msg import BodyLength, GaitState, Tracker
 from worm_optimizer.operation.processes import Process
 
@@ -203,11 +211,10 @@ def test_after_a_kill_the_servos_stop_by_themselves_and_a_new_driver_takes_over(
     end = stamp(probe.wait_for(lambda: seen, "camera")[-1]) + 1.5
     # a read of the servos would reset their watchdogs: the camera's stamps show that the time has passed
     probe.wait_for(lambda: seen and stamp(seen[-1]) > end, "passing time")
-    bus = ServoBus.open(str(directory / "servo_bus"), 1_000_000, latency=0.1)
-    assert [bus.read(servo, COMMON["bus_watchdog"]) for servo in SERVOS] == [-1, -1, -1]
-    first = bus.read(1, COMMON["present_position"])
-    assert bus.read(1, COMMON["present_position"]) == pytest.approx(first, abs=2)
-    bus.close()
+    with servo_bus(directory) as bus:
+        assert [bus.read(servo, COMMON["bus_watchdog"]) for servo in SERVOS] == [-1, -1, -1]
+        first = bus.read(1, COMMON["present_position"])
+        assert bus.read(1, COMMON["present_position"]) == pytest.approx(first, abs=2)
     robot.processes.forget("driver_node")
     robot.start_driver(autostart="true")
     commander.wait_for_state(GaitState.IDLE, "second driver")
@@ -224,9 +231,8 @@ def test_a_user_may_change_the_quality_of_service_of_telemetry(start, commander,
 
 
 def test_a_robot_that_is_not_homed_waits_for_its_operator(start, robot, commander):
-    bus = ServoBus.open(str(robot.directory / "servo_bus"), 1_000_000, latency=0.1)
-    bus.write(1, COMMON["led"], 0)  # a cable servo that is lit is homed
-    bus.close()
+    with servo_bus(robot.directory) as bus:
+        bus.write(1, COMMON["led"], 0)  # a cable servo that is lit is homed
     driver = start(autostart="true", home_at_start="false")
     driver.wait_for_line(
         "cannot activate: the turn count of the cable servo is not known", TIMEOUT_S
