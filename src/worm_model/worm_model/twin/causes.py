@@ -16,12 +16,12 @@ The weight of a cause decreases if the cause does not explain the residuals of a
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from worm_model.arrays import Array
 from worm_model.twin.cause_table import (
@@ -144,11 +144,12 @@ def weigh_causes(
     null = NullModel(data.seen, data.weight, data.nuisances, data.offsets)
     weighed = null.weigh(causes, known)
     logs = np.array([c.log_prior for c in candidates]) + weighed.evidence
-    unexplained = math.log(DEVIATION) + null.weigh_noise(data.unexplained())
+    unexplained = math.log(DEVIATION) + data.unexplained()
     # The limit takes effect only where a healthy robot (weight 1) is practically impossible.
     logs, unexplained = np.split(_limited(np.append(logs, unexplained)), [len(logs)])
     weights = np.exp(logs)
-    weights[[_is_impossible(*c) for c in zip(candidates, weighed.size, strict=True)]] = 0.0
+    least = np.array([LASTING[c.name].least for c in lasting])
+    weights[: len(lasting)][weighed.size[: len(lasting)] < least] = 0.0  # a negative parameter
     # The first two cycles of a robot that the parameters do not describe only show how it differs. Power alone cannot
     # distinguish a cause that exists from the start from such a difference.
     since = cycles[0].number + (2 if cycles[0].is_misfit else 0 if tracked else 1)
@@ -157,7 +158,7 @@ def weigh_causes(
     ] = 0.0
     values = (weights.tolist(), weighed.size.tolist(), weighed.deviation.tolist())
     known_causes = [
-        c._replace(code=_code(c, size), weight=weight, size=size, deviation=deviation)
+        Candidate(_code(c, size), *c[1:-3], weight, size, deviation)
         for c, weight, size, deviation in zip(candidates, *values, strict=True)
     ]
     others = [
@@ -177,12 +178,6 @@ def _code(candidate: Candidate, size: float) -> EventCode:
     """Return the candidate's code, which for a lasting cause depends on the sign of its size."""
     row = LASTING.get(candidate.name)
     return candidate.code if row is None else row.code(size)
-
-
-def _is_impossible(candidate: Candidate, size: float) -> bool:
-    """Return True if the estimated size of the candidate implies a negative parameter."""
-    row = LASTING.get(candidate.name)
-    return row is not None and size < row.least
 
 
 class Data:
@@ -229,7 +224,8 @@ class Data:
     def lasting(self, causes: Sequence[Candidate]) -> Array:
         """Return the effects of lasting causes, shape (causes, cycles, channels times bins)."""
         changes = np.array([self.signs.lasting[cause.name][cause.variant] for cause in causes])
-        since = np.array([self._bins_before(cause.cycle, cause.phase) for cause in causes])
+        onsets = np.array([(cause.cycle, cause.phase) for cause in causes])
+        since = self._bins_before(*onsets.T)
         bins = np.arange(len(self.numbers) * BINS).reshape(-1, 1, BINS)
         whole = changes[:, None] * (bins >= since[:, None, None, None])
         return whole.reshape(len(causes), *self.seen.shape)
@@ -237,20 +233,21 @@ class Data:
     def step(self, candidate: Candidate) -> Array:
         """Return the effect of a camera that moves by `CAMERA_M`, shape (cycles, channels times bins)."""
         whole = np.zeros((len(self.numbers) * BINS, CHANNELS))
-        whole[self._bins_before(candidate.cycle, candidate.phase) :, POSITION] = CAMERA_M
+        (since,) = self._bins_before(np.array([candidate.cycle]), np.array([candidate.phase]))
+        whole[since:, POSITION] = CAMERA_M
         blocks = whole.reshape(len(self.numbers), BINS, CHANNELS).swapaxes(1, 2)
         return blocks.reshape(self.seen.shape)
 
     def unexplained(self) -> Array:
-        """Return the weights of all residuals, assuming an unexplained deviation in each cycle in turn.
-
-        The shape is (cycles, cycles, channels times bins).
-        """
+        """Return the logarithms of the Bayes factors of an unexplained deviation in each cycle, shape (cycles,)."""
         spread = np.array(DEVIATION_SCATTER).repeat(BINS) ** 2
-        weights = np.repeat(self.weight[None], len(self.numbers), axis=0)
+        # the first noise is the usual one, and each other one has more scatter in one cycle
+        weights = np.repeat(self.weight[None], 1 + len(self.numbers), axis=0)
         for k, usual in enumerate(self.weight):
-            weights[k, k] = usual / (1.0 + spread * usual)
-        return weights
+            weights[1 + k, k] = usual / (1.0 + spread * usual)
+        noises = NullModel(self.seen, weights, self.nuisances, self.offsets)
+        usual, *others = noises.log_densities()
+        return np.array(others) - usual
 
     def _of_the_run(self) -> Array:
         """Return the effects of a healthy robot's differing parameters, which are the same in every cycle."""
@@ -280,10 +277,10 @@ class Data:
                 for fin in self.signs.gained:
                     yield self._grooves(fin, True, [event.cycle])
 
-    def _bins_before(self, number: int, phase: float) -> int:
-        """Return the number of bins before a phase of a cycle, counted over all remembered cycles."""
-        before = bisect_left(self.numbers, number) * BINS
-        return before + round(phase * BINS) if number in self.numbers else before
+    def _bins_before(self, number: Array, phase: Array) -> NDArray[np.int64]:
+        """Return the numbers of bins before phases of cycles, (n,) each, counted over all remembered cycles."""
+        within = np.where(np.isin(number, self.numbers), np.rint(phase * BINS), 0.0)
+        return np.searchsorted(self.numbers, number) * BINS + within.astype(np.int64)
 
     def _grooves(self, fin: str, gained: bool, numbers: Iterable[int]) -> Array:  # noqa: FBT001
         """Return the effect of a fin that misses or gains a groove in each of the given cycles.
@@ -340,17 +337,13 @@ def _excess(values: Array, variance: Array) -> Array:
 
     It is the lower median over all pairs of successive cycles, so that a single change does not count as scatter.
     """
+    expected = variance[:-1] + variance[1:]
+    seen = np.isfinite(expected).sum(axis=2)  # (pairs, channels)
+    ratios = (np.diff(values, axis=0) ** 2 / expected).sum(axis=2) / np.maximum(seen, 1)
     excess = np.ones(CHANNELS)
-    for channel in range(CHANNELS):
-        ratios = []
-        for k in range(1, len(values)):
-            expected = variance[k - 1, channel] + variance[k, channel]
-            both = np.isfinite(expected)
-            if both.any():
-                difference = (values[k] - values[k - 1])[channel]
-                ratios.append(float(np.mean(difference[both] ** 2 / expected[both])))
-        if len(ratios) > 1:
-            excess[channel] = max(1.0, sorted(ratios)[(len(ratios) - 1) // 2])
+    for channel, (own, some) in enumerate(zip(ratios.T, (seen > 0).T, strict=True)):
+        if some.sum() > 1:
+            excess[channel] = max(1.0, np.sort(own[some])[(some.sum() - 1) // 2])
     return excess
 
 

@@ -57,7 +57,7 @@ from worm_model.twin.cycle_data import (
     cycle_data,
     without_step,
 )
-from worm_model.twin.edges import Edge, edge_of, edge_of_body
+from worm_model.twin.edges import Edge, edge_of, edge_of_body, with_rounded_length
 from worm_model.twin.signatures import BINS, Signatures, signatures
 
 #: code of plain information
@@ -178,9 +178,7 @@ class Finding:
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
     """Return the updated history and the findings at the end of a cycle."""
     driven = bool(np.mean(cycle.sums[:, LENGTH_COUNT] > 0) > 0.25)
-    # The signatures hardly depend on small changes of L0. A rounded L0 makes runs share their cached signatures.
-    length = round(cycle.parameters.initial_length, 4)
-    signs = signatures(cycle.gait, cycle.parameters.replace(initial_length=length), driven=driven)
+    signs = signatures(cycle.gait, with_rounded_length(cycle.parameters), driven=driven)
     data = cycle_data(
         cycle.number,
         cycle.sums,

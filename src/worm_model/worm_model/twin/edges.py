@@ -78,10 +78,15 @@ class Edge:
 
 def edge_of(gait: Gait, parameters: Parameters) -> Edge:
     """Return the edge near a gait without its margin, for a robot with the run's L0."""
-    # Rounded lengths make cycles and runs share their cached edges. They move the edge by at most 0.1 mm.
+    # Like the rounded L0, the rounded stroke moves the edge by at most 0.1 mm.
     rounded = replace(gait, stroke=round(gait.stroke, 4), margin=0.0)
-    length = round(parameters.initial_length, 4)
-    return _edge_of(rounded, parameters.replace(initial_length=length))
+    return _edge_of(rounded, with_rounded_length(parameters))
+
+
+@lru_cache(maxsize=32)
+def with_rounded_length(parameters: Parameters) -> Parameters:
+    """Return parameters with a rounded L0, so that cycles and runs share the edges and signatures cached for them."""
+    return parameters.replace(initial_length=round(parameters.initial_length, 4))
 
 
 def edge_of_body(gait: Gait, parameters: Parameters, residuals: Array) -> Edge:

@@ -42,33 +42,34 @@ class NullModel:
 
     Args:
         measured: data y, shape (k, b).
-        weight: inverse variances of the noise, shape (k, b).
+        weight: inverse variances of the noise, shape (k, b); for `log_densities` also (h, k, b), of h noises.
         nuisances: nuisance directions, shape (k, b, m).
         offsets: standard deviations c of the offsets that are the same in all cycles, shape (b,).
     """
 
     def __init__(self, measured: Array, weight: Array, nuisances: Array, offsets: Array) -> None:
         self._measured, self._weight = measured, weight
-        self._nuisances, self._offsets = nuisances, offsets
-        self._shared = offsets**2 / (1.0 + offsets**2 * weight.sum(axis=0))  # (b,)
+        self._spread = 1.0 + offsets**2 * weight.sum(axis=-2)  # (..., b)
+        self._shared = offsets**2 / self._spread
         directions = nuisances.reshape(measured.size, -1)
         weighted = self._weigh(np.moveaxis(nuisances, -1, 0))
-        self._weighted = weighted.reshape(-1, measured.size)  # (m, n)
-        self._inner = np.eye(len(self._weighted)) + self._weighted @ directions
+        self._weighted = weighted.reshape(*weighted.shape[:-2], measured.size)  # (..., m, n)
+        self._inner = np.eye(directions.shape[1]) + self._weighted @ directions
         self._match = self._weighted @ measured.ravel()
 
     def _weigh(self, vectors: Array) -> Array:
-        """Return vectors (..., k, b) multiplied by the inverse covariance of noise and offsets."""
-        weighted = self._weight * vectors
-        common = self._shared * weighted.sum(axis=-2)
-        return np.asarray(weighted - self._weight * common[..., None, :])
+        """Return vectors (m, k, b) multiplied by the inverse covariance of noise and offsets, shape (..., m, k, b)."""
+        weight = self._weight[..., None, :, :]
+        weighted = weight * vectors
+        common = self._shared[..., None, :] * weighted.sum(axis=-2)
+        return np.asarray(weighted - weight * common[..., None, :])
 
     def weigh(self, causes: Array, known: NDArray[np.bool_]) -> Weighed:
         """Return the evidence for causes (h, k, b); ``known`` (h,) is True where the size is known to be 1."""
         flat = causes.reshape(len(causes), -1)
         cross = flat @ self._weighted.T  # (h, m)
         solved = np.linalg.solve(self._inner, np.column_stack([self._match, cross.T]))
-        match = flat @ self._weigh(self._measured).ravel() - cross @ solved[:, 0]
+        match = flat @ self._weigh(self._measured[None]).ravel() - cross @ solved[:, 0]
         weighted = self._weight * causes
         alone = np.einsum("hkb,hkb->h", weighted, causes)
         alone -= weighted.sum(axis=1) ** 2 @ self._shared
@@ -81,22 +82,11 @@ class NullModel:
             deviation=np.where(known, 0.0, 1.0 / np.sqrt(1.0 + power)),
         )
 
-    def weigh_noise(self, others: Array) -> Array:
-        """Return the logarithms (h,) of the Bayes factors of other weights of the noise, ``others`` (h, k, b)."""
-        own = self._log_density()
-        return np.array(
-            [
-                NullModel(self._measured, other, self._nuisances, self._offsets)._log_density()
-                - own
-                for other in others
-            ]
-        )
-
-    def _log_density(self) -> float:
-        """Return the logarithm of the data's marginal density, except for a constant."""
-        explained = self._match @ np.linalg.solve(self._inner, self._match)
-        distance = np.sum(self._measured * self._weigh(self._measured)) - explained
-        spread = np.linalg.slogdet(self._inner)[1]
-        spread += np.sum(np.log1p(self._offsets**2 * self._weight.sum(axis=0)))
-        spread -= np.sum(np.log(self._weight[self._weight > 0.0]))
-        return float(-0.5 * (distance + spread))
+    def log_densities(self) -> Array:
+        """Return the logarithm of the data's marginal density for each noise, except for a common constant."""
+        solved = np.linalg.solve(self._inner, self._match[..., None])[..., 0]
+        own = self._weigh(self._measured[None])[..., 0, :, :]
+        distance = (self._measured * own).sum(axis=(-2, -1)) - (self._match * solved).sum(axis=-1)
+        noise = np.log(self._weight, out=np.zeros_like(self._weight), where=self._weight > 0.0)
+        spread = np.linalg.slogdet(self._inner)[1] + np.log(self._spread).sum(axis=-1)
+        return np.asarray(-0.5 * (distance + spread - noise.sum(axis=(-2, -1))))
