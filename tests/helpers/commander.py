@@ -107,7 +107,8 @@ class Commander:
 @contextmanager
 def servo_bus(directory: Path) -> Iterator[ServoBus]:
     """Open the servo bus for the test itself while no driver has it; a robot on a busy machine answers late."""
-    with closing(ServoBus.open(str(directory / "servo_bus"), 1_000_000, 0.1, retries=99)) as bus:
+    port = str(directory / "servo_bus")
+    with closing(ServoBus.open(port, 1_000_000, latency=0.1, retries=99)) as bus:
         yield bus
 
 

@@ -157,6 +157,7 @@ def weigh_causes(
         [c.cycle < since and c.code not in (INITIAL_LENGTH, CAMERA_MOVED) for c in candidates]
     ] = 0.0
     values = (weights.tolist(), weighed.size.tolist(), weighed.deviation.tolist())
+    # All fields of a candidate between its code and its weight stay. `_replace` would take twice as long.
     known_causes = [
         Candidate(_code(c, size), *c[1:-3], weight, size, deviation)
         for c, weight, size, deviation in zip(candidates, *values, strict=True)
@@ -224,8 +225,7 @@ class Data:
     def lasting(self, causes: Sequence[Candidate]) -> Array:
         """Return the effects of lasting causes, shape (causes, cycles, channels times bins)."""
         changes = np.array([self.signs.lasting[cause.name][cause.variant] for cause in causes])
-        onsets = np.array([(cause.cycle, cause.phase) for cause in causes])
-        since = self._bins_before(*onsets.T)
+        since = self._bins_before([c.cycle for c in causes], [c.phase for c in causes])
         bins = np.arange(len(self.numbers) * BINS).reshape(-1, 1, BINS)
         whole = changes[:, None] * (bins >= since[:, None, None, None])
         return whole.reshape(len(causes), *self.seen.shape)
@@ -233,7 +233,7 @@ class Data:
     def step(self, candidate: Candidate) -> Array:
         """Return the effect of a camera that moves by `CAMERA_M`, shape (cycles, channels times bins)."""
         whole = np.zeros((len(self.numbers) * BINS, CHANNELS))
-        (since,) = self._bins_before(np.array([candidate.cycle]), np.array([candidate.phase]))
+        (since,) = self._bins_before([candidate.cycle], [candidate.phase])
         whole[since:, POSITION] = CAMERA_M
         blocks = whole.reshape(len(self.numbers), BINS, CHANNELS).swapaxes(1, 2)
         return blocks.reshape(self.seen.shape)
@@ -243,11 +243,11 @@ class Data:
         spread = np.array(DEVIATION_SCATTER).repeat(BINS) ** 2
         # the first noise is the usual one, and each other one has more scatter in one cycle
         weights = np.repeat(self.weight[None], 1 + len(self.numbers), axis=0)
-        for k, usual in enumerate(self.weight):
-            weights[1 + k, k] = usual / (1.0 + spread * usual)
+        for k, weight in enumerate(self.weight):
+            weights[1 + k, k] = weight / (1.0 + spread * weight)
         noises = NullModel(self.seen, weights, self.nuisances, self.offsets)
-        usual, *others = noises.log_densities()
-        return np.array(others) - usual
+        healthy, *deviating = noises.log_densities()
+        return np.array(deviating) - healthy
 
     def _of_the_run(self) -> Array:
         """Return the effects of a healthy robot's differing parameters, which are the same in every cycle."""
@@ -277,10 +277,10 @@ class Data:
                 for fin in self.signs.gained:
                     yield self._grooves(fin, True, [event.cycle])
 
-    def _bins_before(self, number: Array, phase: Array) -> NDArray[np.int64]:
+    def _bins_before(self, numbers: Sequence[int], phases: Sequence[float]) -> NDArray[np.int64]:
         """Return the numbers of bins before phases of cycles, (n,) each, counted over all remembered cycles."""
-        within = np.where(np.isin(number, self.numbers), np.rint(phase * BINS), 0.0)
-        return np.searchsorted(self.numbers, number) * BINS + within.astype(np.int64)
+        within = np.rint(np.array(phases) * BINS) * np.isin(numbers, self.numbers)
+        return np.searchsorted(self.numbers, numbers) * BINS + within.astype(np.int64)
 
     def _grooves(self, fin: str, gained: bool, numbers: Iterable[int]) -> Array:  # noqa: FBT001
         """Return the effect of a fin that misses or gains a groove in each of the given cycles.

@@ -78,14 +78,17 @@ class Edge:
 
 def edge_of(gait: Gait, parameters: Parameters) -> Edge:
     """Return the edge near a gait without its margin, for a robot with the run's L0."""
-    # Like the rounded L0, the rounded stroke moves the edge by at most 0.1 mm.
+    # The rounded stroke and L0 move the edge by at most 0.1 mm together.
     rounded = replace(gait, stroke=round(gait.stroke, 4), margin=0.0)
     return _edge_of(rounded, with_rounded_length(parameters))
 
 
 @lru_cache(maxsize=32)
 def with_rounded_length(parameters: Parameters) -> Parameters:
-    """Return parameters with a rounded L0, so that cycles and runs share the edges and signatures cached for them."""
+    """Return parameters with a rounded L0, so that cycles and runs share the edges and signatures cached for them.
+
+    Both hardly depend on a change by 0.05 mm.
+    """
     return parameters.replace(initial_length=round(parameters.initial_length, 4))
 
 

@@ -49,8 +49,9 @@ class NullModel:
 
     def __init__(self, measured: Array, weight: Array, nuisances: Array, offsets: Array) -> None:
         self._measured, self._weight = measured, weight
-        self._spread = 1.0 + offsets**2 * weight.sum(axis=-2)  # (..., b)
-        self._shared = offsets**2 / self._spread
+        # factor by which the offsets increase the determinant of the covariance
+        self._growth = 1.0 + offsets**2 * weight.sum(axis=-2)  # (..., b)
+        self._shared = offsets**2 / self._growth
         directions = nuisances.reshape(measured.size, -1)
         weighted = self._weigh(np.moveaxis(nuisances, -1, 0))
         self._weighted = weighted.reshape(*weighted.shape[:-2], measured.size)  # (..., m, n)
@@ -83,10 +84,10 @@ class NullModel:
         )
 
     def log_densities(self) -> Array:
-        """Return the logarithm of the data's marginal density for each noise, except for a common constant."""
+        """Return the logarithms (h,) of the data's marginal density for each noise, except for a common constant."""
         solved = np.linalg.solve(self._inner, self._match[..., None])[..., 0]
         own = self._weigh(self._measured[None])[..., 0, :, :]
         distance = (self._measured * own).sum(axis=(-2, -1)) - (self._match * solved).sum(axis=-1)
         noise = np.log(self._weight, out=np.zeros_like(self._weight), where=self._weight > 0.0)
-        spread = np.linalg.slogdet(self._inner)[1] + np.log(self._spread).sum(axis=-1)
+        spread = np.linalg.slogdet(self._inner)[1] + np.log(self._growth).sum(axis=-1)
         return np.asarray(-0.5 * (distance + spread - noise.sum(axis=(-2, -1))))
