@@ -144,7 +144,8 @@ def weigh_causes(
     null = NullModel(data.seen, data.weight, data.nuisances, data.offsets)
     weighed = null.weigh(causes, known)
     logs = np.array([c.log_prior for c in candidates]) + weighed.evidence
-    unexplained = math.log(DEVIATION) + data.unexplained()
+    deviating = NullModel(data.seen, data.unexplained(), data.nuisances, data.offsets)
+    unexplained = math.log(DEVIATION) + deviating.log_densities() - null.log_densities()
     # The limit takes effect only where a healthy robot (weight 1) is practically impossible.
     logs, unexplained = np.split(_limited(np.append(logs, unexplained)), [len(logs)])
     weights = np.exp(logs)
@@ -157,9 +158,8 @@ def weigh_causes(
         [c.cycle < since and c.code not in (INITIAL_LENGTH, CAMERA_MOVED) for c in candidates]
     ] = 0.0
     values = (weights.tolist(), weighed.size.tolist(), weighed.deviation.tolist())
-    # All fields of a candidate between its code and its weight stay. `_replace` would take twice as long.
     known_causes = [
-        Candidate(_code(c, size), *c[1:-3], weight, size, deviation)
+        c._replace(code=_code(c, size), weight=weight, size=size, deviation=deviation)
         for c, weight, size, deviation in zip(candidates, *values, strict=True)
     ]
     others = [
@@ -239,15 +239,15 @@ class Data:
         return blocks.reshape(self.seen.shape)
 
     def unexplained(self) -> Array:
-        """Return the logarithms of the Bayes factors of an unexplained deviation in each cycle, shape (cycles,)."""
+        """Return the weights of all residuals, assuming an unexplained deviation in each cycle in turn.
+
+        The shape is (cycles, cycles, channels times bins).
+        """
         spread = np.array(DEVIATION_SCATTER).repeat(BINS) ** 2
-        # the first noise is the usual one, and each other one has more scatter in one cycle
-        weights = np.repeat(self.weight[None], 1 + len(self.numbers), axis=0)
-        for k, weight in enumerate(self.weight):
-            weights[1 + k, k] = weight / (1.0 + spread * weight)
-        noises = NullModel(self.seen, weights, self.nuisances, self.offsets)
-        healthy, *deviating = noises.log_densities()
-        return np.array(deviating) - healthy
+        weights = np.repeat(self.weight[None], len(self.numbers), axis=0)
+        for k, usual in enumerate(self.weight):
+            weights[k, k] = usual / (1.0 + spread * usual)
+        return weights
 
     def _of_the_run(self) -> Array:
         """Return the effects of a healthy robot's differing parameters, which are the same in every cycle."""

@@ -84,7 +84,10 @@ class NullModel:
         )
 
     def log_densities(self) -> Array:
-        """Return the logarithms (h,) of the data's marginal density for each noise, except for a common constant."""
+        """Return the logarithm of the data's marginal density for each noise, except for a common constant.
+
+        The shape is (h,), or () of one noise.
+        """
         solved = np.linalg.solve(self._inner, self._match[..., None])[..., 0]
         own = self._weigh(self._measured[None])[..., 0, :, :]
         distance = (self._measured * own).sum(axis=(-2, -1)) - (self._match * solved).sum(axis=-1)
